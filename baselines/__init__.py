@@ -1,0 +1,1 @@
+"""The classifiers of the paper's main table, one file per model."""

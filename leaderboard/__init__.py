@@ -1,0 +1,1 @@
+"""Result records into tables, figures and a page."""

@@ -1,0 +1,1 @@
+"""PAPNet, its ablations and its corrected successor."""

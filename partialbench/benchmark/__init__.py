@@ -1,0 +1,1 @@
+"""Protocol, training, evaluation, metrics and result records."""

@@ -1,0 +1,38 @@
+"""What a model takes in training and returns always."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+
+class Prediction(NamedTuple):
+    """A model's answer for a batch of B clouds.
+
+    Attributes:
+        class_logits: (B,K) float.
+        pose_logits: (B,60) float over the rotation bins (``geometry.bins``), or None.
+        penalty: scalar the model adds to its own training loss (PointNet's orthogonality term),
+            already weighted, or None.
+    """
+
+    class_logits: Tensor
+    pose_logits: Tensor | None = None
+    penalty: Tensor | None = None
+
+
+class Batch(NamedTuple):
+    """A batch of training clouds, already augmented, on the model's device.
+
+    Attributes:
+        points: (B,N,3) float32, camera frame.
+        label: (B,) int64.
+        rotation: (B,3,3) float32 object → camera, after augmentation.
+        mapped_rotation: (B,3,3) float32, ``rotation`` under the class's symmetry Map.
+    """
+
+    points: Tensor
+    label: Tensor
+    rotation: Tensor
+    mapped_rotation: Tensor

@@ -1,0 +1,1 @@
+"""Categories, the shard format, building, loading and verifying data sets."""

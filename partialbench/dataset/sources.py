@@ -1,0 +1,117 @@
+"""The contract between a source of shapes, an occluder and the builder.
+
+    source.objects(split) → ObjectRef → source.load(ref) → shape → occluder.views(...) → View
+
+A source and an occluder are picklable: the builder sends them to its workers once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class ObjectRef:
+    """One object of a source, cheap to list and to send to a worker.
+
+    Attributes:
+        object_id: unique within the split, e.g. "chair_0001"; enters the random key and the shard.
+        label: index into the source's ``class_names``.
+        split: "train" or "test".
+        location: where the source finds it (a path, an archive member, an index); its own affair.
+    """
+
+    object_id: str
+    label: int
+    split: str
+    location: str
+
+
+@dataclass
+class View:
+    """What one viewpoint sees of one object.
+
+    Attributes:
+        points: (n,3) float32 candidate points, camera frame, n ≥ 1; the builder draws P of them.
+        R_camera_object: (3,3) float64.
+        t_camera_object: (3,) float64.
+        K: (3,3) float64 pixel intrinsics; zeros where no image was formed (hidden point removal).
+        visible_fraction: share of the surface area (or of the object's points) seen, in [0, 1].
+        n_visible: number of distinct surface points behind ``points`` before drawing.
+        depth: (H,W) float32 z-depth, 0 = no surface, or None.
+    """
+
+    points: NDArray[np.float32]
+    R_camera_object: NDArray[np.float64]
+    t_camera_object: NDArray[np.float64]
+    K: NDArray[np.float64]
+    visible_fraction: float
+    n_visible: int
+    depth: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True)
+class RejectedObject:
+    """An object a source lists but will not give, with the reason; it goes to failures.jsonl."""
+
+    object_id: str
+    split: str
+    reason: str
+    location: str = ""
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+class Source(Protocol):
+    """Where shapes come from. All attributes are plain data; the object is picklable.
+
+    Attributes:
+        class_names: label → name, in label order.
+        frame: "aligned" (category-level canonical frame) or "original" (as the file has it).
+        rejected: what listing the source turned away (unreadable members and the like).
+    """
+
+    class_names: tuple[str, ...]
+    frame: str
+    rejected: list[RejectedObject]
+
+    def splits(self) -> tuple[str, ...]:
+        """The splits it has, "train" before "test"."""
+        ...
+
+    def objects(self, split: str) -> list[ObjectRef]:
+        """The split's objects, in an order that does not depend on the machine."""
+        ...
+
+    def load(self, ref: ObjectRef) -> Any:
+        """The shape: a ``trimesh.Trimesh`` or an (n,3) float32 cloud in the object frame.
+
+        Normalised: bounding-box centre at the origin, largest norm 1. Raises ``InputError`` when
+        the file is not what it should be.
+        """
+        ...
+
+    def digest(self, ref: ObjectRef) -> str:
+        """SHA-256 (hex) of the bytes the object is made from."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """What defines the source, as JSON data without machine paths: enters the configuration."""
+        ...
+
+
+class Occluder(Protocol):
+    """From a shape to what given viewpoints see of it."""
+
+    def views(
+        self, shape: Any, poses: list[tuple[NDArray, NDArray]], rngs: list[np.random.Generator]
+    ) -> list[View]:
+        """One view per pose (R_camera_object, t_camera_object), each with its own generator."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """What defines the views, as JSON data: enters the configuration."""
+        ...

@@ -1,0 +1,1 @@
+"""Pure NumPy geometry: rotations, cameras, symmetries. No torch, no I/O."""

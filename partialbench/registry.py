@@ -1,0 +1,189 @@
+"""Models, sources and occluders by name: plain tables of "module:object" strings, loaded on use.
+
+``partialbench`` names the other packages only here, as strings, so importing it loads none of them.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from partialbench.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a model is published to be trained. What our protocol changes is said on its card.
+
+    Attributes:
+        optimizer: "adam", "adamw" or "sgd".
+        lr, weight_decay, momentum, batch_size, epochs: as published.
+        schedule: "constant", "step", "cosine", "one-cycle", "plateau"; ``schedule_options`` as the
+            harness's ``benchmark.schedule`` takes them.
+        label_smoothing: torch's sense (spread over all classes).
+        clip_norm: global gradient norm, or None.
+        notes: what the publication does that does not fit a field.
+    """
+
+    optimizer: str = "adam"
+    lr: float = 1e-3
+    weight_decay: float = 0.0
+    momentum: float = 0.9
+    batch_size: int = 32
+    epochs: int = 200
+    schedule: str = "constant"
+    schedule_options: Mapping[str, Any] = field(default_factory=dict)
+    label_smoothing: float = 0.0
+    clip_norm: float | None = None
+    notes: str = ""
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """One literal, frozen entry of the model table.
+
+    Attributes:
+        name: as on the command line.
+        entry: "module:factory"; called as factory(num_classes, **options) → ``nn.Module``.
+        title: as printed in tables.
+        paper, reference, reference_licence: publication, owner/repository@commit, its licence.
+        representation: what the network sees, as in the paper's table ("pc (1024×3)").
+        invariances: claimed of the class logits: "permutation", "rotation" (any), both or none.
+        parameters: {num_classes: count}.
+        recipe: published training recipe.
+        published: "module:convert" from a published state dict to ours, or "" where there is none.
+        paper_scores: the paper's table 1: {"pm40": 68.8, "ps15": …, "pm40>ps15": …, "ps15>pm40": …}.
+        choices: what the publication leaves open and how it is settled here.
+        deviations: what differs from the publication, and why.
+    """
+
+    name: str
+    entry: str
+    title: str
+    paper: str
+    reference: str = ""
+    reference_licence: str = ""
+    representation: str = ""
+    invariances: frozenset[str] = frozenset()
+    parameters: Mapping[int, int] = field(default_factory=dict)
+    recipe: Recipe = field(default_factory=Recipe)
+    published: str = ""
+    paper_scores: Mapping[str, float] = field(default_factory=dict)
+    choices: tuple[str, ...] = ()
+    deviations: tuple[str, ...] = ()
+
+
+CARD_TABLES: tuple[str, ...] = ("baselines.cards:CARDS", "papnet.cards:CARDS")
+
+SOURCES: dict[str, str] = {
+    "parametric": "renderers.shapes.source:ParametricShapes",
+    "modelnet40": "renderers.sources.modelnet:ModelNet40Tree",
+    "modelnet40-zip": "renderers.sources.modelnet:ModelNet40Zip",
+    "folder": "renderers.sources.folder:MeshFolder",
+}
+
+OCCLUDERS: dict[str, str] = {
+    "mitsuba": "renderers.mitsuba_depth:MitsubaOccluder",
+}
+
+
+def load(entry: str) -> Any:
+    """The object behind "module:object". Errors name the part that failed."""
+    module_name, _, attribute = entry.partition(":")
+    if not module_name or not attribute:
+        raise InputError(f"{entry!r} is not of the form module:object, e.g. my_model:make")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name and (module_name + ".").startswith(error.name + "."):
+            raise InputError(
+                f"no module named {error.name!r} (from {entry!r}); "
+                f"run from the folder that holds it, or install it"
+            ) from error
+        raise
+    try:
+        return getattr(module, attribute)
+    except AttributeError:
+        near = close_matches(attribute, [n for n in dir(module) if not n.startswith("_")])
+        raise InputError(f"module {module_name!r} has no {attribute!r}{near}") from None
+
+
+def close_matches(name: str, known: Iterable[str]) -> str:
+    """"; did you mean a, b?", or "; known: …" when nothing is close."""
+    known = sorted(known)
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    if near:
+        return f"; did you mean {', '.join(near)}?"
+    return f"; known: {', '.join(known)}" if known else ""
+
+
+def unique(cards: Iterable[ModelCard]) -> dict[str, ModelCard]:
+    """Cards by name; a repeated name raises ``ValueError``."""
+    table: dict[str, ModelCard] = {}
+    for card in cards:
+        if card.name in table:
+            raise ValueError(
+                f"model name {card.name!r} is registered twice: {table[card.name].entry} "
+                f"and {card.entry}; rename one"
+            )
+        table[card.name] = card
+    return table
+
+
+def cards() -> dict[str, ModelCard]:
+    """Every registered model's card by name, in table order. Loads no torch."""
+    return unique(card for table in CARD_TABLES for card in load(table))
+
+
+def card(name: str) -> ModelCard:
+    """The card of one model; an unknown name raises ``InputError`` with close matches."""
+    table = cards()
+    if name not in table:
+        raise InputError(f"no model named {name!r}{close_matches(name, table)}")
+    return table[name]
+
+
+def create(name: str, num_classes: int, **options: Any) -> nn.Module:
+    """A freshly initialised model.
+
+    Args:
+        name: a registered name, or a user's "module:factory".
+        num_classes: K ≥ 2.
+        options: passed to the factory (PAPNet's ablations, for instance).
+
+    Returns:
+        A module that takes (B,N,3) camera-frame clouds and returns a ``Prediction``; a user's own
+        factory may return a module with bare (B,K) logits.
+    """
+    if num_classes < 2:
+        raise ValueError(f"num_classes must be at least 2, got {num_classes}")
+    entry = name if ":" in name else card(name).entry
+    return load(entry)(num_classes, **options)
+
+
+def load_published(name: str, state: Mapping[str, Any], num_classes: int) -> nn.Module:
+    """A model in evaluation mode with the weights of its published implementation.
+
+    Args:
+        state: published parameter names → arrays (numpy or torch).
+    """
+    entry = card(name)
+    if not entry.published:
+        raise InputError(f"{name!r} has no published weights we can convert (reference: "
+                         f"{entry.reference or 'none'})")  # fmt: skip
+    model = create(name, num_classes)
+    model.load_state_dict(load(entry.published)(state, model))
+    return model.eval()
+
+
+def source_entry(name: str) -> str:
+    """The "module:object" of a named source."""
+    if name not in SOURCES:
+        raise InputError(f"no source named {name!r}{close_matches(name, SOURCES)}")
+    return SOURCES[name]

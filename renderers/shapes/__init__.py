@@ -1,0 +1,1 @@
+"""Built-in parametric CAD families, one per ModelNet40 class: the embedded default source."""
