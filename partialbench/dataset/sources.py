@@ -43,6 +43,8 @@ class View:
         visible_fraction: share of the surface area (or of the object's points) seen, in [0, 1].
         n_visible: number of distinct surface points behind ``points`` before drawing.
         depth: (H,W) float32 z-depth, 0 = no surface, or None.
+        symmetry: name of this object's own symmetry group (``geometry.symmetry.GROUPS``), or None
+            for its class's.
     """
 
     points: NDArray[np.float32]
@@ -52,21 +54,45 @@ class View:
     visible_fraction: float
     n_visible: int
     depth: NDArray[np.float32] | None = None
+    symmetry: str | None = None
+
+
+@dataclass(frozen=True)
+class RejectedView:
+    """A view that a written rule turned away (not an error); recorded, and the run goes on.
+
+    Attributes:
+        reason: the rule, in a short phrase that is the same for every view it turns away.
+        details: the values that broke it, as JSON data.
+    """
+
+    reason: str
+    details: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RejectedObject:
-    """An object a source lists but will not give, with the reason; it goes to failures.jsonl."""
+    """An object a source finds but will not list, with the reason; it goes to failures.jsonl.
+
+    Attributes:
+        failed: True for something broken (an unreadable archive member: the run exits 1), False for
+            something a rule turned away (a class that the data set does not have).
+    """
 
     object_id: str
     split: str
     reason: str
     location: str = ""
     details: dict[str, Any] = field(default_factory=dict)
+    failed: bool = False
 
 
 class Source(Protocol):
     """Where shapes come from. All attributes are plain data; the object is picklable.
+
+    A source may also have ``poses(shape, rngs) -> list[(R_camera_object, t_camera_object)]``, one
+    pose per generator: scanned scenes choose viewpoints where a person could stand. Without it the
+    builder draws the paper's poses (``geometry.camera.sample_pose``).
 
     Attributes:
         class_names: label → name, in label order.
@@ -108,8 +134,8 @@ class Occluder(Protocol):
 
     def views(
         self, shape: Any, poses: list[tuple[NDArray, NDArray]], rngs: list[np.random.Generator]
-    ) -> list[View]:
-        """One view per pose (R_camera_object, t_camera_object), each with its own generator."""
+    ) -> list[View | RejectedView]:
+        """One result per pose (R_camera_object, t_camera_object), each with its own generator."""
         ...
 
     def describe(self) -> dict[str, Any]:
