@@ -1,0 +1,170 @@
+"""``manifest.json``: what a data folder holds, how it was made, and the digests that prove it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from dataclasses import asdict, dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import partialbench
+from partialbench.dataset.schema import FORMAT, FORMAT_VERSION
+from partialbench.dataset.shards import write_atomically
+from partialbench.errors import ConfigurationMismatchError, InputError
+
+NAME = "manifest.json"
+
+
+@dataclass
+class ShardEntry:
+    """One finished shard.
+
+    Attributes:
+        file: name inside the folder.
+        split, index: which slice of which split.
+        rows, objects, bytes, sha256: of the file.
+        failures: objects and views of this slice that gave no row, as in failures.jsonl.
+    """
+
+    file: str
+    split: str
+    index: int
+    rows: int
+    objects: int
+    bytes: int
+    sha256: str
+    failures: list[dict[str, Any]] = field(default_factory=list)
+
+
+@dataclass
+class Manifest:
+    """The whole manifest. ``configuration`` alone decides whether two folders hold the same data.
+
+    Attributes:
+        dataset_id: "pm40", "pm40-parametric", … (results of different ids are never mixed).
+        configuration: source, occluder, setting, views, points, seed, …: JSON data.
+        class_names: label → name.
+        state: "building" or "complete".
+        shards: finished shards in split and index order.
+        listing_failures: what listing the source turned away.
+        digests: split → content digest over its rows in order (independent of the shard size).
+        versions: of what made it; not part of the configuration.
+    """
+
+    dataset_id: str
+    configuration: dict[str, Any]
+    class_names: list[str]
+    state: str = "building"
+    shards: list[ShardEntry] = field(default_factory=list)
+    listing_failures: list[dict[str, Any]] = field(default_factory=list)
+    digests: dict[str, str] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def configuration_digest(self) -> str:
+        """SHA-256 of the configuration's canonical JSON."""
+        return json_digest(
+            {"dataset_id": self.dataset_id, "class_names": self.class_names, **self.configuration}
+        )
+
+    @property
+    def failures(self) -> list[dict[str, Any]]:
+        """Everything recorded as failed or rejected, listing first, then in shard order."""
+        return [*self.listing_failures, *(f for shard in self.shards for f in shard.failures)]
+
+    def rows(self, split: str) -> int:
+        """Number of rows of a split in finished shards."""
+        return sum(shard.rows for shard in self.shards if shard.split == split)
+
+    def splits(self) -> list[str]:
+        """The splits that have shards, in order of appearance."""
+        return list(dict.fromkeys(shard.split for shard in self.shards))
+
+    def save(self, folder: Path) -> None:
+        """Write manifest.json and failures.jsonl, each atomically."""
+        data = {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "configuration_digest": self.configuration_digest,
+            **asdict(self),
+        }
+        lines = "".join(json.dumps(f, sort_keys=True) + "\n" for f in self.failures)
+        write_atomically(folder / "failures.jsonl", lines.encode())
+        write_atomically(folder / NAME, (json.dumps(data, indent=1) + "\n").encode())
+
+
+def json_digest(data: Any) -> str:
+    """SHA-256 of canonical JSON (sorted keys, no spaces)."""
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load(folder: Path) -> Manifest:
+    """The manifest of a data folder; ``InputError`` when there is none or it is not readable."""
+    path = Path(folder) / NAME
+    if not path.is_file():
+        raise InputError(
+            f"{folder} is not a data folder: it has no {NAME}. Make one with "
+            f"'partialbench render pm40 --out {folder}'"
+        )
+    try:
+        data = json.loads(path.read_text())
+        if (data["format"], data["format_version"]) != (FORMAT, FORMAT_VERSION):
+            raise InputError(
+                f"{path} has format {data['format']!r} version {data['format_version']!r}, expected "
+                f"{FORMAT!r} version {FORMAT_VERSION}"
+            )
+        recorded = data["configuration_digest"]
+        fields = {k: data[k] for k in Manifest.__dataclass_fields__ if k != "shards"}
+        manifest = Manifest(**fields, shards=[ShardEntry(**entry) for entry in data["shards"]])
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise InputError(f"{path} is damaged ({type(error).__name__}: {error})") from error
+    if manifest.configuration_digest != recorded:
+        raise InputError(
+            f"{path} was edited: its configuration hashes to {manifest.configuration_digest[:12]}…, "
+            f"but it records {str(recorded)[:12]}…"
+        )
+    return manifest
+
+
+def require_same(existing: Manifest, wanted: Manifest, folder: Path) -> None:
+    """Raise ``ConfigurationMismatchError`` naming each setting in which the folder differs."""
+    if existing.configuration_digest == wanted.configuration_digest:
+        return
+    old = {"dataset_id": existing.dataset_id, **_flat(existing.configuration)}
+    new = {"dataset_id": wanted.dataset_id, **_flat(wanted.configuration)}
+    if existing.class_names != wanted.class_names:
+        old["class_names"], new["class_names"] = existing.class_names, wanted.class_names
+    differences = [
+        f"  {key}: folder has {old.get(key, '(absent)')!r}, asked for {new.get(key, '(absent)')!r}"
+        for key in sorted(old.keys() | new.keys())
+        if old.get(key, "(absent)") != new.get(key, "(absent)")
+    ]
+    raise ConfigurationMismatchError(
+        f"{folder} was made with another configuration:\n" + "\n".join(differences) + "\n"
+        "Choose another --out, or give the same options to continue it"
+    )
+
+
+def _flat(data: Any, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(data, dict):
+        return {prefix: data}
+    return {
+        key: value
+        for name, inner in data.items()
+        for key, value in _flat(inner, f"{prefix}.{name}" if prefix else name).items()
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of this project and of what the data depend on, as installed."""
+    found = {"partialbench": partialbench.__version__, "python": platform.python_version()}
+    for name in ("numpy", "scipy", "h5py", "trimesh", "mitsuba", "drjit", "manifold3d"):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found

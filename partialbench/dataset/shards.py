@@ -1,0 +1,142 @@
+"""One shard: rows in memory ↔ an HDF5 file whose bytes depend on the rows alone.
+
+Data sets are contiguous and uncompressed, so that a reader can map them into memory; depth images,
+when kept, are chunked by row and compressed. A file is assembled in memory, written to a temporary
+name, flushed to disk and renamed: under its final name it is always whole.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.dataset.schema import DIGESTED, FIELDS, FORMAT, FORMAT_VERSION, OBJECT_FIELDS
+from partialbench.errors import InputError, PartialbenchError
+
+Columns = dict[str, NDArray]
+"""Field name → (M, …) array with the schema's dtype."""
+
+TEMPORARY_SUFFIX = ".part"
+
+
+def concatenate(parts: list[Columns]) -> Columns:
+    """Rows of several parts one after the other; every part has the same fields."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def row_digests(columns: Mapping[str, NDArray]) -> NDArray[np.uint8]:
+    """(M,32) uint8: SHA-256 of each row's bytes over the digested fields, in schema order."""
+    rows = len(columns["label"])
+    flat = [
+        np.ascontiguousarray(columns[name]).reshape(rows, -1).view(np.uint8).reshape(rows, -1)
+        if rows
+        else np.zeros((0, 1), np.uint8)
+        for name in DIGESTED
+    ]
+    digests = np.zeros((rows, 32), np.uint8)
+    for i in range(rows):
+        row = hashlib.sha256()
+        for field in flat:
+            row.update(field[i].tobytes())
+        digests[i] = np.frombuffer(row.digest(), np.uint8)
+    return digests
+
+
+def content_digest(digests: Iterable[NDArray[np.uint8]]) -> str:
+    """One hex digest for rows in order, the same however they are cut into shards."""
+    whole = hashlib.sha256()
+    for part in digests:
+        whole.update(np.ascontiguousarray(part).tobytes())
+    return whole.hexdigest()
+
+
+def shard_bytes(columns: Columns, objects: Columns, attributes: Mapping[str, str | int]) -> bytes:
+    """The bytes of the HDF5 file with these rows; equal rows give equal bytes."""
+    image = h5py.File("shard", "w", driver="core", backing_store=False, libver=("v108", "v108"))
+    with image:
+        image.attrs["format"] = FORMAT
+        image.attrs["format_version"] = FORMAT_VERSION
+        for name, value in sorted(attributes.items()):
+            image.attrs[name] = value
+        for field in FIELDS:
+            if field.name not in columns:
+                if not field.optional:
+                    raise ValueError(f"a shard needs the field {field.name!r}")
+                continue
+            data = np.ascontiguousarray(columns[field.name], dtype=field.dtype)
+            packed = (
+                {"chunks": (1, *data.shape[1:]), "compression": "gzip", "compression_opts": 1,
+                 "shuffle": True} if field.optional and len(data) else {}
+            )  # fmt: skip
+            dataset = image.create_dataset(field.name, data=data, track_times=False, **packed)
+            dataset.attrs["meaning"] = field.meaning
+            dataset.attrs["frame"] = field.frame
+            dataset.attrs["unit"] = field.unit
+        group = image.create_group("objects")
+        for field in OBJECT_FIELDS:
+            group.create_dataset(
+                field.name, data=objects[field.name].astype(field.dtype), track_times=False
+            )
+        image.flush()
+        return image.id.get_file_image()
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that it is whole or absent under its name, whatever happens meanwhile.
+
+    Raises:
+        PartialbenchError: the system refused (disk full, quota, read-only); the temporary file is
+            removed and whatever was at ``path`` is untouched.
+    """
+    temporary = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise PartialbenchError(
+            f"could not write {path.name} ({len(data) / 2**20:.1f} MiB) in {path.parent}: "
+            f"{error.strerror or error}. What was finished before is kept; free some space or fix "
+            f"the permission and run the same command again to continue"
+        ) from error
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 (hex) of a file's bytes."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def open_shard(path: Path) -> h5py.File:
+    """The file opened for reading; ``InputError`` when it is not a shard of a known version."""
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise InputError(f"{path} is not a readable HDF5 file: {error}") from error
+    found = file.attrs.get("format"), file.attrs.get("format_version")
+    if found != (FORMAT, FORMAT_VERSION):
+        file.close()
+        raise InputError(
+            f"{path} has format {found[0]!r} version {found[1]!r}, expected {FORMAT!r} version "
+            f"{FORMAT_VERSION}; make it again with this release or read it with the one that made it"
+        )
+    return file
+
+
+def read_columns(path: Path, names: Iterable[str] | None = None) -> Columns:
+    """The named fields (default: all but ``depth``) of one shard, in memory."""
+    wanted = [f.name for f in FIELDS if not f.optional] if names is None else list(names)
+    with open_shard(path) as file:
+        absent = [name for name in wanted if name not in file]
+        if absent:
+            raise InputError(f"{path} lacks the field(s) {', '.join(absent)}")
+        return {name: file[name][()] for name in wanted}
