@@ -1,0 +1,26 @@
+"""Every family by its class name, in ModelNet40's order."""
+
+from __future__ import annotations
+
+import difflib
+
+from partialbench.dataset.categories import MODELNET40
+from partialbench.errors import InputError
+from renderers.shapes import simple
+from renderers.shapes.family import Family
+
+_LISTED: tuple[Family, ...] = (simple.cone,)
+
+FAMILIES: dict[str, Family] = {
+    f.name: f for f in sorted(_LISTED, key=lambda f: MODELNET40.index(f.name))
+}
+"""Class name → family, in label order."""
+
+
+def family_of(class_name: str) -> Family:
+    """The family of a class; an unknown name raises InputError with close matches."""
+    if class_name in FAMILIES:
+        return FAMILIES[class_name]
+    near = difflib.get_close_matches(class_name, FAMILIES, n=3)
+    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(FAMILIES)}"
+    raise InputError(f"no shape family named {class_name!r}: {hint}")

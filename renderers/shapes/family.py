@@ -1,0 +1,145 @@
+"""What a family is: a class name, structural variants, named parameters with ranges, a builder.
+
+    @family("cone", variants={"traffic": 2, "plain": 1}, height=(0.6, 1.2), base=(0.2, 0.5), ...)
+    def cone(p: Draw) -> Iterable[Solid]: ...
+
+turns the function into a `Family`. An object is a pure function of (seed, class, index): its
+generator is keyed by them, the variant is drawn first, then every continuous parameter in the order
+declared (used or not), so that a parameter means the same number in every variant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+import trimesh
+
+from partialbench.dataset.seeding import generator
+from renderers.shapes.solids import Solid, join
+
+GENERATION = 1
+"""Number of the families' edition: raise it when any object changes, it enters every digest."""
+
+MIN_FACES, MAX_FACES = 300, 20_000
+GRID = 2.0**-20
+"""Vertices lie on this grid: the last bit of a platform's sine does not enter the mesh, and every
+coordinate is exact in float32."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One object's variant, parameters and the generator for its discrete choices.
+
+    Parameters read as attributes: ``p.height``.
+    """
+
+    variant: str
+    values: Mapping[str, float]
+    rng: np.random.Generator = field(repr=False)
+
+    def __getattr__(self, name: str) -> float:
+        try:
+            return self.__dict__["values"][name]
+        except KeyError:
+            raise AttributeError(f"no parameter {name!r} in this family") from None
+
+    def chance(self, probability: float) -> bool:
+        """True with the given probability."""
+        return bool(self.rng.random() < probability)
+
+    def integer(self, low: int, high: int) -> int:
+        """A whole number in [low, high]."""
+        return int(self.rng.integers(low, high + 1))
+
+    def choice(self, options: Sequence[T]) -> T:
+        """One of the options."""
+        return options[int(self.rng.integers(len(options)))]
+
+    def uniform(self, low: float, high: float) -> float:
+        """A nameless detail: clutter, jitter. What shapes the object is a declared parameter."""
+        return float(self.rng.uniform(low, high))
+
+
+@dataclass(frozen=True)
+class Family:
+    """One class's generator.
+
+    Attributes:
+        name: the class name.
+        variants: structural variant → weight.
+        ranges: continuous parameter → (low, high), drawn uniformly.
+        build: a draw → the parts.
+    """
+
+    name: str
+    variants: Mapping[str, float]
+    ranges: Mapping[str, tuple[float, float]]
+    build: Callable[[Draw], Iterable[Solid]]
+
+    def draw(self, index: int, seed: int = 0) -> Draw:
+        """The variant and parameters of object ``index``."""
+        rng = generator(seed, "shapes", self.name, index)
+        weights = np.cumsum(list(self.variants.values()))
+        chosen = int(np.searchsorted(weights, rng.random() * weights[-1], side="right"))
+        values = {k: float(rng.uniform(low, high)) for k, (low, high) in self.ranges.items()}
+        return Draw(list(self.variants)[chosen], values, rng)
+
+    def mesh(self, index: int, seed: int = 0) -> trimesh.Trimesh:
+        """Object ``index``, finished."""
+        return finish(join(self.build(self.draw(index, seed))))
+
+
+def family(
+    name: str, variants: Mapping[str, float], **ranges: tuple[float, float]
+) -> Callable[[Callable[[Draw], Iterable[Solid]]], Family]:
+    """Turns a builder into a `Family`; it registers nothing, ``catalogue`` lists the families."""
+
+    def wrap(build: Callable[[Draw], Iterable[Solid]]) -> Family:
+        return Family(name, dict(variants), dict(ranges), build)
+
+    return wrap
+
+
+def finish(solid: Solid) -> trimesh.Trimesh:
+    """The normalised mesh: bounding-box centre at the origin, farthest vertex at norm 1.
+
+    Faces without area and vertices without faces are removed; fewer than 300 faces are subdivided.
+    """
+    vertices, faces = solid.vertices, solid.faces
+    assert np.isfinite(vertices).all(), "a builder made a vertex that is not finite"
+    low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
+    vertices = vertices - (low + high) / 2
+    vertices /= np.linalg.norm(vertices[np.unique(faces)], axis=1).max()
+    while len(faces) < MIN_FACES:
+        finer = Solid(vertices, faces).subdivided()
+        vertices, faces = finer.vertices, finer.faces
+    vertices = np.round(vertices / GRID) * GRID
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    # In units of the grid a triangle with distinct, non-collinear corners has at least area 1/2.
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    faces = faces[area > GRID * GRID * 0.5]
+    used, faces = np.unique(faces, return_inverse=True)
+    return trimesh.Trimesh(vertices[used], faces.reshape(-1, 3), process=False)
+
+
+def make(class_name: str, index: int, seed: int = 0) -> trimesh.Trimesh:
+    """One object, a pure function of its arguments, bit by bit.
+
+    Args:
+        class_name: a ModelNet40 class.
+        index: any whole number; `source.ParametricShapes` says which indices are test objects.
+
+    Returns:
+        A mesh in the class's aligned frame (z up), bounding-box centre at the origin, unit ball.
+
+    Raises:
+        InputError: there is no family of that name.
+    """
+    from renderers.shapes.catalogue import family_of  # the catalogue imports every family
+
+    return family_of(class_name).mesh(index, seed)
