@@ -1,8 +1,8 @@
 """The vocabulary the families are written in: boxes, revolutions, sweeps, lofts, extrusions.
 
-Every function returns a `Solid`, a bare triangle mesh. An extent along an axis is either a length
-(centred on zero) or an interval ``(low, high)``, so ``box(1.2, 0.6, (0.70, 0.74))`` is a table top.
-Faces are wound outwards; a surface that bounds no volume (a curtain, an open pot) is a single sheet.
+Every function returns a `Solid`, a bare triangle mesh. An extent along an axis is a length
+(centred on zero) or an interval ``(low, high)``: ``box(1.2, 0.6, (0.70, 0.74))`` is a table top.
+Faces are wound outwards; a surface that bounds no volume (a curtain, an open pot) is one sheet.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Solid:
 
     def at(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Solid:
         """Moved by (x, y, z)."""
-        return Solid(self.vertices + (x, y, z), self.faces)
+        return Solid(self.vertices + np.array([x, y, z]), self.faces)
 
     def turned(self, axis: str, degrees: float) -> Solid:
         """Turned about a coordinate axis through the origin, right-handed."""
@@ -385,12 +385,12 @@ def rounded_rectangle(x: Extent, y: Extent, radius: float, steps: int = 4) -> ND
     """(4·(steps+1),2) outline of a rectangle with round corners, counter-clockwise."""
     (x0, x1), (y0, y1) = span(x), span(y)
     radius = min(radius, (x1 - x0) * 0.499, (y1 - y0) * 0.499)
-    t = np.linspace(0, np.pi / 2, steps + 1)
-    arc = radius * np.stack([np.cos(t), np.sin(t)], 1)
-    c, s = arc.T
+    c, s = circle(radius, 4 * steps)[: steps + 1].T
     return np.concatenate([
-        (x1 - radius, y1 - radius) + arc, np.stack([x0 + radius - s, y1 - radius + c], 1),
-        (x0 + radius, y0 + radius) - arc, np.stack([x1 - radius + s, y0 + radius - c], 1),
+        np.stack([x1 - radius + c, y1 - radius + s], 1),
+        np.stack([x0 + radius - s, y1 - radius + c], 1),
+        np.stack([x0 + radius - c, y0 + radius - s], 1),
+        np.stack([x1 - radius + s, y0 + radius - c], 1),
     ])  # fmt: skip
 
 
