@@ -115,7 +115,7 @@ def load(entry: str) -> Any:
 
 
 def close_matches(name: str, known: Iterable[str]) -> str:
-    """"; did you mean a, b?", or "; known: …" when nothing is close."""
+    """ "; did you mean a, b?", or "; known: …" when nothing is close."""
     known = sorted(known)
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     if near:

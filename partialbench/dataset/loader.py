@@ -96,7 +96,7 @@ class ShardDataset:
         stored (circular) order: another subset every time at the cost of one copy.
         """
         indices = np.asarray(indices, np.int64)
-        if indices.size and not (0 <= indices.min() and indices.max() < len(self)):
+        if indices.size and not (indices.min() >= 0 and indices.max() < len(self)):
             raise IndexError(f"row indices must lie in [0, {len(self)}), got {indices.min()} to "
                              f"{indices.max()}")  # fmt: skip
         clouds = np.zeros((len(indices), self.num_points, 3), np.float32)
@@ -130,6 +130,8 @@ def _read_small_and_layout(
     parts: dict[str, list[NDArray]] = {name: [] for name in _SMALL}
     layout = []
     for entry in entries:
+        if entry.rows == 0:
+            continue
         path = folder / entry.file
         if not path.is_file():
             raise InputError(f"{path} is missing, the manifest lists it; run the render again")
@@ -138,8 +140,6 @@ def _read_small_and_layout(
                 f"{path} has {path.stat().st_size} bytes, the manifest says {entry.bytes}; "
                 f"'partialbench verify {folder}' tells what is damaged"
             )
-        if entry.rows == 0:
-            continue
         with open_shard(path) as file:
             for name in _SMALL:
                 parts[name].append(file[name][()])

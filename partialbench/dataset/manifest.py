@@ -102,6 +102,11 @@ def json_digest(data: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def bytes_sha256(data: bytes) -> str:
+    """SHA-256 (hex) of bytes in memory."""
+    return hashlib.sha256(data).hexdigest()
+
+
 def load(folder: Path) -> Manifest:
     """The manifest of a data folder; ``InputError`` when there is none or it is not readable."""
     path = Path(folder) / NAME
@@ -114,8 +119,8 @@ def load(folder: Path) -> Manifest:
         data = json.loads(path.read_text())
         if (data["format"], data["format_version"]) != (FORMAT, FORMAT_VERSION):
             raise InputError(
-                f"{path} has format {data['format']!r} version {data['format_version']!r}, expected "
-                f"{FORMAT!r} version {FORMAT_VERSION}"
+                f"{path} has format {data['format']!r} version {data['format_version']!r}, "
+                f"expected {FORMAT!r} version {FORMAT_VERSION}"
             )
         recorded = data["configuration_digest"]
         fields = {k: data[k] for k in Manifest.__dataclass_fields__ if k != "shards"}
@@ -124,8 +129,8 @@ def load(folder: Path) -> Manifest:
         raise InputError(f"{path} is damaged ({type(error).__name__}: {error})") from error
     if manifest.configuration_digest != recorded:
         raise InputError(
-            f"{path} was edited: its configuration hashes to {manifest.configuration_digest[:12]}…, "
-            f"but it records {str(recorded)[:12]}…"
+            f"{path} was edited: its configuration hashes to "
+            f"{manifest.configuration_digest[:12]}…, but it records {str(recorded)[:12]}…"
         )
     return manifest
 

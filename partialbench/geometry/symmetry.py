@@ -91,9 +91,7 @@ def map_rotation(rotation: NDArray, symmetry: Symmetry) -> NDArray[np.float64]:
     return np.take_along_axis(candidates, best[..., None, None, None], axis=-3)[..., 0, :, :]
 
 
-def pose_error(
-    predicted: NDArray, true: NDArray, symmetry: Symmetry
-) -> NDArray[np.float64]:
+def pose_error(predicted: NDArray, true: NDArray, symmetry: Symmetry) -> NDArray[np.float64]:
     """Geodesic error modulo symmetry: the least angle between ``predicted`` and any true·S.
 
     Args:

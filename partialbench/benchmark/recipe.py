@@ -1,0 +1,78 @@
+"""From a published recipe to an optimiser, and what our protocol changes about it, in words."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import nn
+from torch.optim import Optimizer
+
+from partialbench.benchmark.protocol import Protocol
+from partialbench.errors import InputError
+from partialbench.registry import Recipe, close_matches
+
+OPTIMIZERS = ("adam", "adamw", "sgd")
+
+
+def make_optimizer(model: nn.Module, recipe: Recipe) -> Optimizer:
+    """The recipe's optimiser over every parameter that asks for a gradient."""
+    parameters = [p for p in model.parameters() if p.requires_grad]
+    if not parameters:
+        raise InputError(f"{type(model).__name__} has no trainable parameters")
+    if recipe.optimizer == "adam":
+        return torch.optim.Adam(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
+    if recipe.optimizer == "adamw":
+        return torch.optim.AdamW(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
+    if recipe.optimizer == "sgd":
+        return torch.optim.SGD(
+            parameters, lr=recipe.lr, momentum=recipe.momentum, weight_decay=recipe.weight_decay
+        )
+    raise InputError(
+        f"no optimizer named {recipe.optimizer!r}{close_matches(recipe.optimizer, OPTIMIZERS)}"
+    )
+
+
+def override(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
+    """The recipe with fields changed; an unknown field raises ``InputError``."""
+    known = [f.name for f in dataclasses.fields(Recipe)]
+    for name in changes:
+        if name not in known:
+            raise InputError(f"a recipe has no field {name!r}{close_matches(name, known)}")
+    return dataclasses.replace(recipe, **changes)
+
+
+def as_dict(recipe: Recipe) -> dict[str, Any]:
+    """Plain JSON data."""
+    fields = dataclasses.asdict(recipe)
+    fields["schedule_options"] = {
+        k: dict(v) if isinstance(v, Mapping) else list(v) if isinstance(v, tuple) else v
+        for k, v in recipe.schedule_options.items()
+    }
+    return fields
+
+
+def deviations(published: Recipe, used: Recipe, protocol: Protocol, train_clouds: int) -> list[str]:
+    """What this run changes about the published recipe, one sentence a change."""
+    changes = [
+        f"{field.name} {getattr(used, field.name)!r} instead of {getattr(published, field.name)!r}"
+        for field in dataclasses.fields(Recipe)
+        if getattr(used, field.name) != getattr(published, field.name)
+    ]
+    epochs = protocol.num_epochs(used, train_clouds)
+    if epochs != used.epochs:
+        changes.append(
+            f"{epochs} epochs of {train_clouds:,} clouds instead of {used.epochs} published epochs; "
+            f"the schedule is scaled to that length"
+        )
+    if used.batch_size > train_clouds:
+        changes.append(f"batches of {train_clouds} clouds, all there are, not {used.batch_size}")
+    turn = "random rotation" if protocol.rotation == "so3" else "no rotation"
+    changes.append(
+        f"the protocol's augmentation instead of the published one: {turn}, jitter "
+        f"{protocol.jitter_sigma:g} clipped at {protocol.jitter_clip:g}, a random "
+        f"{protocol.num_points} of the stored points"
+    )
+    return changes

@@ -1,0 +1,365 @@
+"""Building a data folder: objects → rows (anywhere) → shards in order (here) → manifest.
+
+The same command gives the same bytes for any number of workers and after any interruption: rows
+are keyed, not sequenced; they are written in listing order; a finished shard is never touched.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import pickle
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from partialbench.dataset import manifest as manifests
+from partialbench.dataset.card import write_card
+from partialbench.dataset.executors import process_pool, worker_deaths
+from partialbench.dataset.manifest import Manifest, ShardEntry
+from partialbench.dataset.rows import Job, ObjectRows, failure_record, run_pickled
+from partialbench.dataset.schema import OBJECT_FIELDS
+from partialbench.dataset.shards import (
+    TEMPORARY_SUFFIX,
+    Columns,
+    concatenate,
+    content_digest,
+    read_columns,
+    shard_bytes,
+    write_atomically,
+)
+from partialbench.dataset.sources import ObjectRef
+from partialbench.errors import InputError, PartialbenchError
+
+SETTINGS = ("partial", "rotated", "aligned")
+# Results waiting for an earlier, slower object; bounds memory and keeps every worker busy.
+IN_FLIGHT_PER_WORKER = 8
+
+
+@dataclass(frozen=True)
+class BuildPlan:
+    """What to build.
+
+    Attributes:
+        job: source, occluder and everything that decides the rows.
+        out: the data folder.
+        splits: which splits of the source, in this order.
+        objects_per_class: split → at most so many objects of a class, the first in listing order;
+            None for all.
+        rows_per_shard: a shard is closed at the object that reaches it.
+    """
+
+    job: Job
+    out: Path
+    splits: tuple[str, ...]
+    objects_per_class: dict[str, int] | None = None
+    rows_per_shard: int = 1000
+
+    def __post_init__(self) -> None:
+        if self.job.setting not in SETTINGS:
+            raise InputError(f"setting {self.job.setting!r} is not one of {', '.join(SETTINGS)}")
+        for name, value in (
+            ("points", self.job.points),
+            ("rows_per_shard", self.rows_per_shard),
+            *((f"views of {s!r}", self.job.views.get(s, 0)) for s in self.splits),
+        ):
+            if value < 1:
+                raise InputError(f"{name} must be at least 1, got {value}")
+
+    def configuration(self) -> dict[str, Any]:
+        """What decides the bytes of the folder, as JSON data."""
+        return {
+            "source": self.job.source.describe(),
+            "source_frame": self.job.source.frame,
+            "occluder": self.job.occluder.describe(),
+            "setting": self.job.setting,
+            "views": {s: self.job.views[s] for s in self.splits},
+            "points": self.job.points,
+            "seed": self.job.seed,
+            "objects_per_class": self.objects_per_class,
+            "rows_per_shard": self.rows_per_shard,
+        }
+
+    def slices(self) -> Iterator[tuple[str, int, list[ObjectRef]]]:
+        """(split, index, objects) of every shard, in order."""
+        for split in self.splits:
+            refs = self.job.source.objects(split)
+            if self.objects_per_class is not None:
+                refs = first_per_class(refs, self.objects_per_class[split])
+            _require_unique(refs)
+            size = max(1, self.rows_per_shard // self.job.views[split])
+            for index, start in enumerate(range(0, len(refs), size)):
+                yield split, index, refs[start : start + size]
+
+
+@dataclass
+class Progress:
+    """How far a build is. Rows of shards finished by an earlier run count as ``resumed_rows``."""
+
+    total_objects: int
+    done_objects: int = 0
+    rows: int = 0
+    resumed_rows: int = 0
+    failed: int = 0
+    rejected: int = 0
+
+    def count(self, rows: int, failures: list[dict[str, Any]], objects: int = 1) -> None:
+        """Add what became of ``objects`` more objects."""
+        self.done_objects += objects
+        self.rows += rows
+        self.failed += sum(f["kind"] == "failed" for f in failures)
+        self.rejected += sum(f["kind"] == "rejected" for f in failures)
+
+
+def build(
+    plan: BuildPlan,
+    make_executor: Callable[[], Executor] | None = None,
+    workers: int = 1,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Manifest:
+    """Make the folder, or continue it where it stopped.
+
+    Args:
+        plan: what to build.
+        make_executor: opens the executor to run on (default: a pool of ``workers`` processes). It
+            is called again if a worker dies, so that one crashing object cannot end the run.
+        workers: how many tasks the executor runs at once.
+        on_progress: called after every object.
+
+    Returns:
+        The manifest of the complete folder. What gave no row is in ``manifest.failures``.
+
+    Raises:
+        ConfigurationMismatchError: the folder holds other data; nothing is touched.
+        InputError: the source lists no object, or no object at all gave a row.
+        PartialbenchError: the folder is in use, or cannot be written.
+        KeyboardInterrupt: after the workers were stopped; the folder can be continued.
+    """
+    slices = list(plan.slices())
+    if not slices:
+        raise InputError(f"the source lists no objects in {', '.join(plan.splits)}")
+    wanted = Manifest(
+        plan.job.dataset_id,
+        plan.configuration(),
+        list(plan.job.source.class_names),
+        listing_failures=[
+            {"kind": "failed" if r.failed else "rejected", "split": r.split, "details": r.details,
+             "object_id": r.object_id, "location": r.location, "reason": r.reason}
+            for r in plan.job.source.rejected
+        ],
+        versions=manifests.versions(),
+    )  # fmt: skip
+    with _sole_user(plan.out):
+        manifest = _begin_or_continue(plan.out, wanted)
+        if manifest.state == "complete":
+            return manifest
+        _build_missing(plan, manifest, slices, make_executor, workers, on_progress)
+        _finish(plan.out, manifest)
+    return manifest
+
+
+def first_per_class(refs: list[ObjectRef], count: int) -> list[ObjectRef]:
+    """At most ``count`` objects of each label, the first in listing order."""
+    if count < 1:
+        raise InputError(f"objects per class must be at least 1, got {count}")
+    taken: dict[int, int] = {}
+    kept = []
+    for ref in refs:
+        taken[ref.label] = taken.get(ref.label, 0) + 1
+        if taken[ref.label] <= count:
+            kept.append(ref)
+    return kept
+
+
+def _require_unique(refs: list[ObjectRef]) -> None:
+    seen: dict[str, str] = {}
+    for ref in refs:
+        if ref.object_id in seen:
+            raise InputError(
+                f"two objects of split {ref.split!r} are both called {ref.object_id!r}: "
+                f"{seen[ref.object_id]} and {ref.location}; rename one"
+            )
+        seen[ref.object_id] = ref.location
+
+
+@contextlib.contextmanager
+def _sole_user(out: Path) -> Iterator[None]:
+    """Hold the folder's lock, so that two runs never write into one folder."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        lock = open(out / ".lock", "w")  # noqa: SIM115 (closed below, after the lock is released)
+    except OSError as error:
+        raise PartialbenchError(f"cannot use {out} as output folder: {error.strerror}") from error
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise PartialbenchError(
+                f"another run is writing to {out}; wait for it or choose another --out"
+            ) from None
+        yield
+
+
+def _begin_or_continue(out: Path, wanted: Manifest) -> Manifest:
+    if (out / manifests.NAME).exists():
+        existing = manifests.load(out)
+        manifests.require_same(existing, wanted, out)
+        # A killed run may have left a temporary file; under its final name nothing is ever partial.
+        for leftover in out.glob(f".*{TEMPORARY_SUFFIX}"):
+            leftover.unlink()
+        return existing
+    foreign = sorted(p.name for p in out.iterdir() if p.name != ".lock")
+    if foreign and not all(name.endswith(TEMPORARY_SUFFIX) for name in foreign):
+        raise PartialbenchError(
+            f"{out} is not empty and not a data folder (it has {', '.join(foreign[:5])}); "
+            f"choose an empty or new folder"
+        )
+    wanted.save(out)
+    return wanted
+
+
+def _build_missing(
+    plan: BuildPlan,
+    manifest: Manifest,
+    slices: list[tuple[str, int, list[ObjectRef]]],
+    make_executor: Callable[[], Executor] | None,
+    workers: int,
+    on_progress: Callable[[Progress], None] | None,
+) -> None:
+    done = {(entry.split, entry.index) for entry in manifest.shards}
+    progress = Progress(sum(len(refs) for _, _, refs in slices))
+    for entry in manifest.shards:
+        progress.count(entry.rows, entry.failures, entry.objects)
+        progress.resumed_rows = progress.rows
+    missing = [s for s in slices if (s[0], s[1]) not in done]
+    refs = [ref for _, _, slice_refs in missing for ref in slice_refs]
+    results = run_in_order(
+        pickle.dumps(plan.job), refs, make_executor or (lambda: process_pool(workers)), workers
+    )
+    order = {(split, index): n for n, (split, index, _) in enumerate(slices)}
+    with contextlib.closing(results):
+        for split, index, slice_refs in missing:
+            made = []
+            for _ in slice_refs:
+                result = next(results)
+                made.append(result)
+                rows = 0 if result.columns is None else len(result.columns["label"])
+                progress.count(rows, result.failures)
+                if on_progress:
+                    on_progress(progress)
+            entry = _write_shard(plan, manifest, split, index, made)
+            manifest.shards.append(entry)
+            manifest.shards.sort(key=lambda e: order[e.split, e.index])
+            manifest.save(plan.out)
+
+
+def run_in_order(
+    payload: bytes, refs: list[ObjectRef], make_executor: Callable[[], Executor], workers: int
+) -> Iterator[ObjectRows]:
+    """Rows of each object in the order of ``refs``, with a bounded number in flight.
+
+    An object whose worker process dies (a crash in native code, out of memory) is tried once more
+    alone in a fresh executor; if that dies too, it is recorded as failed and the run goes on.
+    """
+    waiting: deque[tuple[ObjectRef, Future[ObjectRows]]] = deque()
+    upcoming = iter(refs)
+    executor = make_executor()
+    try:
+        while True:
+            while len(waiting) < IN_FLIGHT_PER_WORKER * workers:
+                ref = next(upcoming, None)
+                if ref is None:
+                    break
+                waiting.append((ref, _submit(executor, payload, ref)))
+            if not waiting:
+                return
+            ref, future = waiting.popleft()
+            try:
+                yield future.result()
+            except worker_deaths():
+                executor.shutdown(wait=False, cancel_futures=True)
+                yield _alone(payload, ref, make_executor)
+                executor = make_executor()
+                waiting = deque(
+                    (r, f if _succeeded(f) else _submit(executor, payload, r)) for r, f in waiting
+                )
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _submit(executor: Executor, payload: bytes, ref: ObjectRef) -> Future[ObjectRows]:
+    try:
+        return executor.submit(run_pickled, payload, ref)
+    except BrokenExecutor as error:
+        # The pool broke between two submissions; whoever asks for the result handles it.
+        broken: Future[ObjectRows] = Future()
+        broken.set_exception(error)
+        return broken
+
+
+def _succeeded(future: Future[ObjectRows]) -> bool:
+    return future.done() and not future.cancelled() and future.exception() is None
+
+
+def _alone(payload: bytes, ref: ObjectRef, make_executor: Callable[[], Executor]) -> ObjectRows:
+    executor = make_executor()
+    try:
+        return _submit(executor, payload, ref).result()
+    except worker_deaths():
+        reason = "the worker process died while working on it (a crash or out of memory)"
+        return ObjectRows(ref.object_id, None, failures=[failure_record(ref, reason)])
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+def _write_shard(
+    plan: BuildPlan, manifest: Manifest, split: str, index: int, made: list[ObjectRows]
+) -> ShardEntry:
+    failures = [failure for result in made for failure in result.failures]
+    kept = [result for result in made if result.columns is not None]
+    name = f"{split}-{index:05d}.h5"
+    if not kept:
+        return ShardEntry("", split, index, 0, len(made), 0, "", failures)
+    columns = concatenate([result.columns for result in kept if result.columns is not None])
+    objects: Columns = {
+        field.name: np.array(values, field.dtype)
+        for field, values in zip(
+            OBJECT_FIELDS,
+            ([r.object_id.encode() for r in kept], [r.source_sha256.encode() for r in kept]),
+            strict=True,
+        )
+    }
+    attributes: dict[str, str | int] = {
+        "dataset_id": manifest.dataset_id,
+        "configuration_digest": manifest.configuration_digest,
+        "split": split,
+        "index": index,
+    }
+    data = shard_bytes(columns, objects, attributes)
+    write_atomically(plan.out / name, data)
+    rows = len(columns["label"])
+    digest = manifests.bytes_sha256(data)
+    return ShardEntry(name, split, index, rows, len(made), len(data), digest, failures)
+
+
+def _finish(out: Path, manifest: Manifest) -> None:
+    for split in manifest.splits():
+        if manifest.rows(split) == 0:
+            first = next((f["reason"] for f in manifest.failures if f["split"] == split), "")
+            raise InputError(
+                f"no object of split {split!r} gave a row; see {out / 'failures.jsonl'}"
+                + (f". The first reason: {first}" if first else "")
+            )
+        manifest.digests[split] = content_digest(
+            read_columns(out / entry.file, ["row_sha256"])["row_sha256"]
+            for entry in manifest.shards
+            if entry.split == split and entry.rows
+        )
+    manifest.state = "complete"
+    write_card(out, manifest)
+    manifest.save(out)

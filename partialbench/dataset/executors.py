@@ -1,0 +1,95 @@
+"""Where the work runs: in this process, in a pool of processes, or on a Dask cluster.
+
+All three are ``concurrent.futures.Executor``; the builder does not know which it was given.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from typing import Any
+
+from partialbench.errors import InputError
+
+# Numerical libraries read these when they load: one thread a process, or W workers would run W²
+# threads. Set in the worker before anything is imported there.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class InlineExecutor(Executor):
+    """Runs each task at once in the calling thread: for debugging and for one worker in tests."""
+
+    def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
+        future: Future = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def _start_worker(parent: int) -> None:
+    # Ctrl-C reaches the whole process group; the parent alone decides what to do about it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def leave_with_parent() -> None:
+        # A parent killed with SIGKILL cannot tell its workers: they watch for it.
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=leave_with_parent, daemon=True).start()
+
+
+def process_pool(workers: int) -> ProcessPoolExecutor:
+    """``workers`` spawned processes of one thread each.
+
+    Spawned, not forked: Dr.Jit and BLAS keep threads and locks that a fork would copy mid-air.
+    """
+    if workers < 1:
+        raise InputError(f"--workers must be at least 1, got {workers}")
+    for name in _ONE_THREAD:
+        os.environ.setdefault(name, "1")
+    return ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_start_worker,
+        initargs=(os.getpid(),),
+    )
+
+
+def dask_cluster(address: str) -> tuple[Executor, int]:
+    """An executor on the Dask scheduler at ``address``, and its number of worker threads.
+
+    Raises:
+        InputError: ``distributed`` is not installed, nobody answers, or there are no workers.
+    """
+    try:
+        from distributed import Client
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "--scheduler needs Dask's distributed: pip install 'partialbench[cluster]'"
+        ) from error
+    try:
+        client = Client(address, timeout="20s")
+        threads = sum(client.nthreads().values())
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at {address!r}: {error}") from error
+    if not threads:
+        raise InputError(
+            f"the scheduler at {address!r} has no workers; start some with 'dask worker {address}'"
+        )
+    # pure=False: a task is known by its own key, never looked up by its arguments.
+    return client.get_executor(pure=False), threads
+
+
+def worker_deaths() -> tuple[type[BaseException], ...]:
+    """The exceptions by which the executors in use say that a worker died."""
+    distributed = sys.modules.get("distributed")
+    return (BrokenExecutor, distributed.KilledWorker) if distributed else (BrokenExecutor,)

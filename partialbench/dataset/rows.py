@@ -1,0 +1,182 @@
+"""From one object to its rows: load → poses → views → draw. Runs in a worker process.
+
+What comes out depends only on the job and the object: every random draw is keyed by (seed, data
+set, split, object id, view, purpose).
+"""
+
+from __future__ import annotations
+
+import pickle
+import time
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.dataset.schema import FIELDS, OBJECT_ID_BYTES
+from partialbench.dataset.seeding import generator
+from partialbench.dataset.shards import Columns, row_digests
+from partialbench.dataset.sources import ObjectRef, Occluder, RejectedView, Source, View
+from partialbench.errors import InputError
+from partialbench.geometry.camera import sample_pose
+from partialbench.geometry.symmetry import symmetry_of
+
+ALIGNED_POSE = (np.eye(3), np.array([0.0, 0.0, 3.5]))
+"""The pose of the setting "aligned": canonical orientation, at the middle of the paper's depths."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Everything a worker needs besides the object: picklable, sent once per process.
+
+    Attributes:
+        dataset_id: enters the random keys.
+        setting: "partial", "rotated" or "aligned".
+        views: split → viewpoints per object.
+        points: P, points per row.
+        seed: of the whole data set.
+    """
+
+    source: Source
+    occluder: Occluder
+    dataset_id: str
+    setting: str
+    views: dict[str, int]
+    points: int
+    seed: int
+
+
+@dataclass
+class ObjectRows:
+    """What became of one object.
+
+    Attributes:
+        columns: its rows (possibly none).
+        source_sha256: digest of what it was made from, "" when it could not be read.
+        failures: JSON records of what gave no row.
+        seconds: time spent in the worker.
+    """
+
+    object_id: str
+    columns: Columns | None
+    source_sha256: str = ""
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
+    """Rows of one object. Never raises for what is wrong with the object: it is recorded."""
+    start = time.perf_counter()
+    try:
+        result = _make_rows(job, ref)
+    except (InputError, ArithmeticError, LookupError, OSError, ValueError, RuntimeError) as error:
+        result = ObjectRows(ref.object_id, None, failures=[failure_record(ref, error)])
+    result.seconds = time.perf_counter() - start
+    return result
+
+
+def failure_record(ref: ObjectRef, error: BaseException | str) -> dict[str, Any]:
+    """The line of failures.jsonl for an object that an error stopped."""
+    reason = error if isinstance(error, str) else str(error) or repr(error)
+    kind = "" if isinstance(error, str | InputError) else f"{type(error).__name__}: "
+    return {
+        "kind": "failed", "split": ref.split, "object_id": ref.object_id,
+        "location": ref.location, "reason": kind + reason,
+    }  # fmt: skip
+
+
+def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
+    encoded = ref.object_id.encode()
+    if len(encoded) > OBJECT_ID_BYTES:
+        raise InputError(
+            f"object id {ref.object_id!r} has {len(encoded)} bytes, a shard holds {OBJECT_ID_BYTES}"
+        )
+    shape = job.source.load(ref)
+    views = job.views[ref.split]
+    key = (job.dataset_id, ref.split, ref.object_id)
+    poses = _poses(job, shape, key, views)
+    rngs = [generator(job.seed, *key, v, "occluder") for v in range(views)]
+    class_symmetry = symmetry_of(job.source.class_names[ref.label]).name
+    rows: list[dict[str, Any]] = []
+    failures = []
+    for v, view in enumerate(job.occluder.views(shape, poses, rngs)):
+        if isinstance(view, RejectedView):
+            failures.append(
+                {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
+                 "location": ref.location, "reason": view.reason, "details": view.details}
+            )  # fmt: skip
+            continue
+        points = draw(view.points, job.points, generator(job.seed, *key, v, "draw"))
+        rows.append(_row(view, points, ref.label, encoded, v, view.symmetry or class_symmetry))
+    return ObjectRows(ref.object_id, _stack(rows), job.source.digest(ref), failures)
+
+
+def _poses(
+    job: Job, shape: Any, key: tuple[str, str, str], views: int
+) -> list[tuple[NDArray, NDArray]]:
+    if job.setting == "aligned":
+        return [ALIGNED_POSE] * views
+    rngs = [generator(job.seed, *key, v, "pose") for v in range(views)]
+    choose = getattr(job.source, "poses", None)
+    return choose(shape, rngs) if choose else [sample_pose(rng) for rng in rngs]
+
+
+def draw(points: NDArray, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
+    """``count`` of the (n,3) points in random order: (count,3) float32.
+
+    Without replacement; where n < count, all of them first, then repeats drawn at random.
+    """
+    n = len(points)
+    if n == 0:
+        raise InputError("a view has no visible point")
+    if n >= count:
+        chosen = rng.choice(n, count, replace=False)
+    else:
+        chosen = np.concatenate([rng.permutation(n), rng.integers(0, n, count - n)])
+    return np.asarray(points[chosen], np.float32)
+
+
+def _row(view: View, points: NDArray, label: int, object_id: bytes, index: int,
+         symmetry: str) -> dict[str, Any]:  # fmt: skip
+    row: dict[str, Any] = {
+        "points": points,
+        "label": label,
+        "object_id": object_id,
+        "view": index,
+        "R_camera_object": view.R_camera_object,
+        "t_camera_object": view.t_camera_object,
+        "K": view.K,
+        "visible_fraction": view.visible_fraction,
+        "n_visible": view.n_visible,
+        "symmetry": symmetry.encode(),
+    }
+    if view.depth is not None:
+        row["depth"] = view.depth
+    return row
+
+
+def _stack(rows: list[dict[str, Any]]) -> Columns | None:
+    if not rows:
+        return None
+    columns = {
+        field.name: np.asarray([row[field.name] for row in rows], field.dtype)
+        for field in FIELDS
+        if field.name in rows[0]
+    }
+    for name in ("points", "R_camera_object", "t_camera_object", "visible_fraction"):
+        if not np.isfinite(columns[name]).all():
+            raise InputError(f"the occluder gave non-finite values in {name!r}")
+    columns["row_sha256"] = row_digests(columns)
+    return columns
+
+
+@lru_cache(maxsize=2)
+def _unpickled(payload: bytes) -> Job:
+    return pickle.loads(payload)
+
+
+def run_pickled(payload: bytes, ref: ObjectRef) -> ObjectRows:
+    """``make_rows`` for a pickled job, unpickled once per process: what an executor is given."""
+    return make_rows(_unpickled(payload), ref)
