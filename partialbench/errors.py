@@ -1,4 +1,4 @@
-"""The errors a user meets. Their messages say what was wrong, the value, what was expected, what to do."""
+"""The errors a user meets: each says what was wrong, the value, what was expected, what to do."""
 
 
 class PartialbenchError(Exception):

@@ -58,7 +58,7 @@ class ModelCard:
         parameters: {num_classes: count}.
         recipe: published training recipe.
         published: "module:convert" from a published state dict to ours, or "" where there is none.
-        paper_scores: the paper's table 1: {"pm40": 68.8, "ps15": …, "pm40>ps15": …, "ps15>pm40": …}.
+        paper_scores: the paper's table 1: {"pm40": 68.8, "ps15": …, "pm40>ps15": …, …}.
         choices: what the publication leaves open and how it is settled here.
         deviations: what differs from the publication, and why.
     """

@@ -10,7 +10,7 @@ import contextlib
 import fcntl
 import pickle
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -212,6 +212,9 @@ def _begin_or_continue(out: Path, wanted: Manifest) -> Manifest:
         # A killed run may have left a temporary file; under its final name nothing is ever partial.
         for leftover in out.glob(f".*{TEMPORARY_SUFFIX}"):
             leftover.unlink()
+        kept = [e for e in existing.shards if not e.rows or (out / e.file).is_file()]
+        if len(kept) < len(existing.shards):  # a shard was deleted: make it anew
+            existing.shards, existing.state = kept, "building"
         return existing
     foreign = sorted(p.name for p in out.iterdir() if p.name != ".lock")
     if foreign and not all(name.endswith(TEMPORARY_SUFFIX) for name in foreign):
@@ -260,7 +263,7 @@ def _build_missing(
 
 def run_in_order(
     payload: bytes, refs: list[ObjectRef], make_executor: Callable[[], Executor], workers: int
-) -> Iterator[ObjectRows]:
+) -> Generator[ObjectRows, None, None]:
     """Rows of each object in the order of ``refs``, with a bounded number in flight.
 
     An object whose worker process dies (a crash in native code, out of memory) is tried once more

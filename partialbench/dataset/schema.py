@@ -57,9 +57,9 @@ FIELDS: tuple[Field, ...] = (
 )  # fmt: skip
 """Every field of a row, in the order in which the row digest reads them."""
 
-DIGESTED: tuple[str, ...] = tuple(
-    f.name for f in FIELDS[: [f.name for f in FIELDS].index("row_sha256")]
-)
+_NAMES = tuple(f.name for f in FIELDS)
+DIGESTED = _NAMES[: _NAMES.index("row_sha256")]
+"""The fields that the row digest covers."""
 
 OBJECT_FIELDS: tuple[Field, ...] = (
     _field("object_id", (), f"S{OBJECT_ID_BYTES}", "", "", "as in the rows"),

@@ -127,7 +127,7 @@ def open_shard(path: Path) -> h5py.File:
         file.close()
         raise InputError(
             f"{path} has format {found[0]!r} version {found[1]!r}, expected {FORMAT!r} version "
-            f"{FORMAT_VERSION}; make it again with this release or read it with the one that made it"
+            f"{FORMAT_VERSION}; make it again, or read it with the release that made it"
         )
     return file
 

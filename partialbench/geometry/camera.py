@@ -74,7 +74,8 @@ class Camera:
         """A depth image (H,W), 0 = no surface → (n,3) camera-frame points in row-major order."""
         if depth.shape != (self.height, self.width):
             raise ValueError(
-                f"depth image is {depth.shape}, expected {(self.height, self.width)} (rows, columns)"
+                f"depth image is {depth.shape}, expected {(self.height, self.width)} "
+                f"(rows, columns)"
             )
         rows, columns = np.nonzero(depth > 0)
         pixels = np.stack([columns + 0.5, rows + 0.5], axis=-1)

@@ -32,7 +32,7 @@ def geodesic_angle(a: NDArray, b: NDArray) -> NDArray[np.float64]:
 def axis_rotation(axis: str, angle: NDArray | float) -> NDArray[np.float64]:
     """Right-handed rotation by ``angle`` radians about "x", "y" or "z"; (…,3,3)."""
     angle = np.asarray(angle, np.float64)
-    return Rotation.from_euler(axis, angle.reshape(-1)).as_matrix().reshape(*angle.shape, 3, 3)
+    return Rotation.from_euler(axis, angle.reshape(-1, 1)).as_matrix().reshape(*angle.shape, 3, 3)
 
 
 def euler_noise(

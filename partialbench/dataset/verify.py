@@ -1,0 +1,269 @@
+"""``partialbench verify``: prove that a data folder is what its manifest says.
+
+Checked for every row: file digests, schema, row digests, finiteness, R ∈ SO(3), ranges, counts,
+uniqueness; that the cloud lies inside the unit ball when brought back to the object frame; that it
+projects into its image. For a sample of rows, where the source is at hand: that the points, brought
+back, lie on the source's surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.dataset import manifest as manifests
+from partialbench.dataset.manifest import Manifest, ShardEntry
+from partialbench.dataset.schema import DIGESTED, FIELDS
+from partialbench.dataset.shards import (
+    Columns,
+    content_digest,
+    file_sha256,
+    open_shard,
+    row_digests,
+)
+from partialbench.dataset.sources import Source
+from partialbench.errors import InputError
+from partialbench.geometry.rotations import is_rotation
+from partialbench.geometry.symmetry import GROUPS
+
+BALL_TOLERANCE = 1e-3
+"""How far outside the unit ball a point may lie (object units)."""
+SURFACE_TOLERANCE = 1e-4
+"""How far off the source's surface an ideal sensor's point may lie (object units)."""
+
+
+@dataclass
+class Report:
+    """What ``verify`` found.
+
+    Attributes:
+        problems: one sentence each; empty means the folder is sound.
+        rows: split → rows read.
+        surface: largest and mean distance of sampled points to their source's surface, or None
+            when no source was at hand.
+        notes: what was not checked and why.
+    """
+
+    problems: list[str] = field(default_factory=list)
+    rows: dict[str, int] = field(default_factory=dict)
+    surface: dict[str, float] | None = None
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def sound(self) -> bool:
+        return not self.problems
+
+
+def verify(
+    folder: Path,
+    source: Source | None = None,
+    surface_rows: int = 64,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Report:
+    """Check a data folder; never raises for damage inside it, only where there is no folder.
+
+    Args:
+        folder: made by ``partialbench render``.
+        source: what it was made from, for the surface check.
+        surface_rows: so many rows, evenly spread over each split, are checked against the source.
+        on_progress: called with (shards done, shards in all).
+    """
+    folder = Path(folder)
+    manifest = manifests.load(folder)
+    report = Report()
+    if manifest.state != "complete":
+        report.problems.append(
+            f"the folder is unfinished (state {manifest.state!r}): run its render command again"
+        )
+    known = {entry.file for entry in manifest.shards}
+    for path in sorted(folder.glob("*.h5")):
+        if path.name not in known:
+            report.problems.append(f"{path.name} is not in the manifest")
+    digests: dict[str, list[NDArray]] = {}
+    seen: dict[str, set[tuple[bytes, int]]] = {}
+    surface: list[NDArray] = []
+    written = [entry for entry in manifest.shards if entry.rows]
+    for n, entry in enumerate(written):
+        columns = _read_and_check(folder, manifest, entry, report)
+        if columns is not None:
+            digests.setdefault(entry.split, []).append(columns["row_sha256"])
+            report.rows[entry.split] = report.rows.get(entry.split, 0) + len(columns["label"])
+            pairs = set(zip(columns["object_id"].tolist(), columns["view"].tolist(), strict=True))
+            earlier = seen.setdefault(entry.split, set())
+            if pairs & earlier or len(pairs) < len(columns["view"]):
+                report.problems.append(f"{entry.file}: an (object, view) pair occurs twice")
+            earlier |= pairs
+            if source is not None:
+                share = max(1, round(surface_rows * entry.rows / manifest.rows(entry.split)))
+                surface += _surface_distances(entry, columns, source, share, report)
+        if on_progress:
+            on_progress(n + 1, len(written))
+    for split, recorded in manifest.digests.items():
+        complete = report.rows.get(split) == manifest.rows(split)
+        if complete and content_digest(digests.get(split, [])) != recorded:
+            report.problems.append(f"split {split!r}: rows do not hash to the recorded digest")
+    _judge_surface(manifest, surface, source, report)
+    return report
+
+
+def _read_and_check(
+    folder: Path, manifest: Manifest, entry: ShardEntry, report: Report
+) -> Columns | None:
+    """The shard's columns when its bytes and schema are as recorded, else None."""
+    path = folder / entry.file
+
+    def problem(text: str) -> None:
+        report.problems.append(f"{entry.file}: {text}")
+
+    if not path.is_file():
+        problem("missing; run the render command again, only it is made anew")
+        return None
+    intact = file_sha256(path) == entry.sha256
+    if not intact:
+        problem(
+            "its bytes do not hash to the SHA-256 in the manifest: damaged or edited; delete it "
+            "and run the render command again, only it is made anew"
+        )
+    try:
+        with open_shard(path) as file:
+            columns = {f.name: file[f.name][()] for f in FIELDS if f.name in file}
+            recorded = file.attrs["configuration_digest"]
+            rows_of_objects = len(file["objects/object_id"])
+    except (InputError, OSError, KeyError, RuntimeError) as error:
+        problem(f"not readable: {error}")
+        return None
+    if recorded != manifest.configuration_digest:
+        problem("made with another configuration than the manifest's")
+    if schema := _schema_problems(columns, manifest, entry):
+        for text in schema:
+            problem(text)
+        return None
+    if rows_of_objects > entry.objects:
+        problem(f"lists {rows_of_objects} objects, the manifest says {entry.objects}")
+    wrong = np.flatnonzero((row_digests(columns) != columns["row_sha256"]).any(axis=1))
+    if len(wrong):
+        problem(f"{len(wrong)} row(s) do not match their digest, the first is row {wrong[0]}")
+    for text in _value_problems(columns, manifest):
+        problem(text)
+    return columns
+
+
+def _schema_problems(columns: Columns, manifest: Manifest, entry: ShardEntry) -> list[str]:
+    problems = []
+    for f in FIELDS:
+        if f.name not in columns:
+            if not f.optional:
+                problems.append(f"lacks the field {f.name!r}")
+            continue
+        shape, dtype = columns[f.name].shape, columns[f.name].dtype
+        sizes = {"P": manifest.configuration["points"]}
+        expected = tuple(sizes.get(s, s) if isinstance(s, str) else s for s in f.shape)
+        fits = len(shape) == 1 + len(expected) and all(
+            isinstance(e, str) or e == s for e, s in zip(expected, shape[1:], strict=False)
+        )
+        if not fits or shape[0] != entry.rows:
+            problems.append(f"{f.name!r} is {shape}, expected {(entry.rows, *expected)}")
+        if dtype != f.dtype:
+            problems.append(f"{f.name!r} has dtype {dtype}, expected {f.dtype}")
+    return problems
+
+
+def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
+    problems: list[str] = []
+
+    def require(good: NDArray, what: str) -> None:
+        bad = np.flatnonzero(~np.asarray(good))
+        if len(bad):
+            problems.append(f"{what} in {len(bad)} row(s), the first is row {bad[0]}")
+
+    rows = len(columns["label"])
+    finite = np.ones(rows, bool)
+    for name in DIGESTED:
+        if columns[name].dtype.kind == "f":
+            finite &= np.isfinite(columns[name]).reshape(rows, -1).all(axis=1)
+    require(finite, "values are not finite")
+    R, t = columns["R_camera_object"], columns["t_camera_object"]
+    require(is_rotation(R), "R_camera_object is not a rotation")
+    labels = columns["label"]
+    require((labels >= 0) & (labels < len(manifest.class_names)), "label is out of range")
+    require(columns["n_visible"] >= 1, "n_visible is below 1")
+    fraction = columns["visible_fraction"]
+    require((fraction >= 0) & (fraction <= 1), "visible_fraction is outside [0, 1]")
+    known = {name.encode() for name in GROUPS}
+    require(np.array([s in known for s in columns["symmetry"]]), "symmetry is no known group")
+    if problems:
+        return problems
+    points = columns["points"].astype(np.float64)
+    canonical = (points - t[:, None]) @ R
+    radius = np.linalg.norm(canonical, axis=2).max(axis=1)
+    slack = BALL_TOLERANCE if _ideal(manifest) else 0.5
+    require(radius <= 1 + slack, "points lie outside the unit ball in the object frame")
+    K = columns["K"]
+    imaged = K[:, 0, 0] > 0
+    if imaged.any():
+        require(~imaged | (points[..., 2].min(axis=1) > 0), "points lie behind the camera")
+        size = manifest.configuration["occluder"].get("resolution")
+        if size and not problems:
+            pixels = points[..., :2] / points[..., 2:] * K[:, None, [0, 1], [0, 1]]
+            pixels = (pixels + K[:, None, [0, 1], 2])[imaged]
+            margin = 0.01 * size
+            inside = ((pixels > -margin) & (pixels < size + margin)).all(axis=(1, 2))
+            require(inside, "points project outside the image")
+    return problems
+
+
+def _ideal(manifest: Manifest) -> bool:
+    return manifest.configuration["occluder"].get("sensor") in (None, "ideal")
+
+
+def _surface_distances(
+    entry: ShardEntry, columns: Columns, source: Source, share: int, report: Report
+) -> list[NDArray]:
+    """Distance of 64 points of ``share`` rows to the source's surface, (64,) each."""
+    refs = {ref.object_id: ref for ref in source.objects(entry.split)}
+    found = []
+    for row in np.unique(np.linspace(0, entry.rows - 1, share).astype(int)):
+        object_id = columns["object_id"][row].decode()
+        if object_id not in refs:
+            report.problems.append(f"{entry.file}: the source has no object {object_id!r}")
+            continue
+        shape = source.load(refs[object_id])
+        R, t = columns["R_camera_object"][row], columns["t_camera_object"][row]
+        found.append(surface_distance(shape, (columns["points"][row][:64] - t) @ R))
+    return found
+
+
+def surface_distance(shape: Any, points: NDArray) -> NDArray[np.float64]:
+    """Distance of (n,3) object-frame points to a mesh's surface or to a cloud's points: (n,)."""
+    if hasattr(shape, "faces"):
+        from trimesh.proximity import closest_point
+
+        return closest_point(shape, points)[1]
+    from scipy.spatial import cKDTree
+
+    cloud = shape if isinstance(shape, np.ndarray) else shape.points
+    return cKDTree(cloud).query(points)[0]
+
+
+def _judge_surface(
+    manifest: Manifest, surface: list[NDArray], source: Source | None, report: Report
+) -> None:
+    if source is None:
+        report.notes.append("surface not checked: no source given (use --source)")
+        return
+    if not surface:
+        return
+    distances = np.concatenate(surface)
+    report.surface = {"max": float(distances.max()), "mean": float(distances.mean())}
+    if not _ideal(manifest):
+        report.notes.append("the sensor is noisy: surface distances are reported, not judged")
+    elif distances.max() > SURFACE_TOLERANCE:
+        report.problems.append(
+            f"points lie up to {distances.max():.2g} object units off the source's surface "
+            f"(allowed: {SURFACE_TOLERANCE:g})"
+        )

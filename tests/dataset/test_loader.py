@@ -1,0 +1,86 @@
+"""The loader: what it returns, and that it survives forks and spawns."""
+
+import multiprocessing
+import pickle
+
+import h5py
+import numpy as np
+import pytest
+
+from partialbench.dataset.build import build
+from partialbench.dataset.executors import InlineExecutor
+from partialbench.dataset.loader import ShardDataset
+from partialbench.errors import InputError
+from tests.dataset.toy import plan
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("data")
+    build(plan(out), InlineExecutor)
+    return out
+
+
+def stored(folder, name):
+    parts = []
+    for path in sorted(folder.glob("train-*.h5")):
+        with h5py.File(path) as shard:
+            parts.append(shard[name][()])
+    return np.concatenate(parts)
+
+
+def test_columns_and_points_are_the_shards_in_order(folder):
+    data = ShardDataset(folder, "train", num_points=64)
+    assert len(data) == 18
+    assert np.array_equal(data.labels, stored(folder, "label"))
+    assert data.object_ids.tolist() == [s.decode() for s in stored(folder, "object_id")]
+    assert np.array_equal(data.rotations, stored(folder, "R_camera_object"))
+    order = np.random.default_rng(0).permutation(18)
+    assert np.array_equal(data.points(order), stored(folder, "points")[order])
+    assert data.symmetries[0] == "xyz-180"
+    assert data.setting == "partial"
+    assert data.dataset_id == "toy"
+
+
+def test_random_subsets_come_from_the_row_without_repeats(folder):
+    data = ShardDataset(folder, "train", num_points=40)
+    whole = stored(folder, "points")
+    assert np.array_equal(data.points([5]), whole[[5], :40])
+    drawn = data.points(np.arange(18), np.random.default_rng(0))
+    for cloud, row in zip(drawn, whole, strict=True):
+        pool = {p.tobytes() for p in row}
+        assert {p.tobytes() for p in cloud} <= pool
+        assert len({p.tobytes() for p in cloud}) == 40
+    again = data.points(np.arange(18), np.random.default_rng(1))
+    assert not np.array_equal(drawn, again)
+
+
+def test_errors_say_what_to_do(folder, tmp_path):
+    with pytest.raises(InputError, match=r"stores 64 points a cloud, 99 were asked for"):
+        ShardDataset(folder, "train", num_points=99)
+    with pytest.raises(InputError, match=r"no split 'val'; it has \['train', 'test'\]"):
+        ShardDataset(folder, "val", num_points=64)
+    with pytest.raises(InputError, match="not a data folder"):
+        ShardDataset(tmp_path, "train")
+    with pytest.raises(IndexError, match="row indices must lie in"):
+        ShardDataset(folder, "train", 64).points([18])
+
+
+def _checksum(data: ShardDataset, queue) -> None:
+    queue.put(float(data.points(np.arange(len(data))).sum()))
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_workers_read_what_the_parent_reads(folder, method):
+    data = ShardDataset(folder, "train", num_points=64)
+    expected = float(data.points(np.arange(len(data))).sum())  # the maps are open in the parent
+    context = multiprocessing.get_context(method)
+    queue = context.Queue()
+    workers = [context.Process(target=_checksum, args=(data, queue)) for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    assert [queue.get(timeout=60) for _ in workers] == [expected, expected]
+    for worker in workers:
+        worker.join()
+    assert len(pickle.dumps(data)) < 20_000, "a pickle carries no points"

@@ -1,0 +1,136 @@
+"""``verify`` passes a sound folder and names each kind of damage."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+from partialbench.dataset.build import build
+from partialbench.dataset.executors import InlineExecutor
+from partialbench.dataset.manifest import bytes_sha256
+from partialbench.dataset.shards import row_digests
+from partialbench.dataset.verify import surface_distance, verify
+from partialbench.errors import InputError
+from tests.dataset.toy import ToySource, plan
+
+
+@pytest.fixture
+def folder(tmp_path):
+    build(plan(tmp_path), InlineExecutor)
+    return tmp_path
+
+
+def test_a_sound_folder_passes_and_its_points_lie_on_the_source(folder):
+    report = verify(folder, ToySource())
+    assert report.problems == []
+    assert report.rows == {"train": 18, "test": 6}
+    assert 0 < report.surface["max"] < 1e-6
+
+
+def test_points_off_the_surface_are_found(folder):
+    other = ToySource()
+    other.load = lambda ref: ToySource().load(ref).apply_scale(0.98)
+    report = verify(folder, other)
+    assert any("off the source's surface" in p for p in report.problems)
+
+
+def test_a_flipped_byte_is_found_and_located(folder):
+    path = folder / "train-00001.h5"
+    with h5py.File(path) as shard:
+        offset = shard["points"].id.get_offset() + shard["points"][0].nbytes * 2 + 5
+    damaged = bytearray(path.read_bytes())
+    damaged[offset] ^= 1
+    path.write_bytes(damaged)
+    problems = verify(folder).problems
+    assert any("train-00001.h5: its bytes do not hash" in p for p in problems)
+    assert any("1 row(s) do not match their digest, the first is row 2" in p for p in problems)
+    path.unlink()
+    build(plan(folder), InlineExecutor)
+    assert verify(folder).sound
+
+
+def test_missing_and_foreign_files_are_named(folder):
+    (folder / "train-00000.h5").rename(folder / "train-00077.h5")
+    problems = verify(folder).problems
+    assert "train-00077.h5 is not in the manifest" in problems
+    assert any(p.startswith("train-00000.h5: missing") for p in problems)
+
+
+def test_truncated_file_is_reported_not_raised(folder):
+    path = folder / "test-00000.h5"
+    path.write_bytes(path.read_bytes()[:500])
+    assert any("test-00000.h5: not readable" in p for p in verify(folder).problems)
+
+
+def forge(folder, name, change):
+    """Change a shard and make every digest agree again: only the values can give it away."""
+    path = folder / name
+    with h5py.File(path, "r+") as shard:
+        change(shard)
+        columns = {k: shard[k][()] for k in shard if k != "objects"}
+        shard["row_sha256"][...] = row_digests(columns)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    for entry in manifest["shards"]:
+        if entry["file"] == name:
+            entry["sha256"] = bytes_sha256(path.read_bytes())
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+def set_value(field, row, value):
+    def change(shard):
+        data = shard[field][()]
+        data[row] = value
+        shard[field][...] = data
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("points", np.nan, "not finite"),
+        ("R_camera_object", np.diag([1.0, 1.0, -1.0]), "not a rotation"),
+        ("label", 2, "label is out of range"),
+        ("visible_fraction", 1.5, "outside \\[0, 1\\]"),
+        ("n_visible", 0, "n_visible is below 1"),
+        ("symmetry", b"heptagon", "no known group"),
+        ("points", 9.0, "outside the unit ball"),
+    ],
+)
+def test_wrong_values_are_named_with_their_row(folder, field, value, message):
+    forge(folder, "train-00000.h5", set_value(field, 3, value))
+    problems = verify(folder).problems
+    assert any(__import__("re").search(message + ".*the first is row 3", p) for p in problems), (
+        problems
+    )
+    assert any("do not hash to the recorded digest" in p for p in problems)
+
+
+def test_repeated_rows_are_found(folder):
+    def repeat(shard):
+        for name in shard:
+            if name != "objects":
+                data = shard[name][()]
+                data[1] = data[0]
+                shard[name][...] = data
+
+    forge(folder, "train-00000.h5", repeat)
+    assert any("occurs twice" in p for p in verify(folder).problems)
+
+
+def test_an_edited_manifest_and_a_missing_one_are_errors(folder, tmp_path):
+    data = json.loads((folder / "manifest.json").read_text())
+    data["configuration"]["seed"] = 5
+    (folder / "manifest.json").write_text(json.dumps(data))
+    with pytest.raises(InputError, match="was edited"):
+        verify(folder)
+    with pytest.raises(InputError, match="not a data folder"):
+        verify(tmp_path / "nowhere")
+
+
+def test_surface_distance_of_a_cloud_is_to_its_nearest_point():
+    cloud = np.array([[0, 0, 0], [1, 0, 0]], np.float32)
+    assert surface_distance(cloud, np.array([[0.25, 0, 0], [1, 0, 0.5]])) == pytest.approx(
+        [0.25, 0.5]
+    )
