@@ -6,10 +6,31 @@ import difflib
 
 from partialbench.dataset.categories import MODELNET40
 from partialbench.errors import InputError
-from renderers.shapes import simple
+from renderers.shapes import (
+    aircraft,
+    bathing,
+    bedroom,
+    desks,
+    instruments,
+    lighting,
+    markers,
+    seating,
+    vessels,
+)
 from renderers.shapes.family import Family
 
-_LISTED: tuple[Family, ...] = (simple.cone,)
+_LISTED: tuple[Family, ...] = (
+    aircraft.airplane,
+    bathing.bathtub,
+    bedroom.bed,
+    bedroom.dresser,
+    desks.desk,
+    instruments.guitar,
+    lighting.lamp,
+    markers.cone,
+    seating.chair,
+    vessels.bottle,
+)
 
 FAMILIES: dict[str, Family] = {
     f.name: f for f in sorted(_LISTED, key=lambda f: MODELNET40.index(f.name))
