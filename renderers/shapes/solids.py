@@ -311,6 +311,22 @@ def loft(rings: ArrayLike, caps: bool = True) -> Solid:
     )
 
 
+def body(stations: ArrayLike, segments: int = 20, power: float = 2.0, caps: bool = True) -> Solid:
+    """A hull along x through (super)elliptic sections.
+
+    Args:
+        stations: (m,4) rows of x, half width in y, half height in z, height of the centre; x rises.
+        power: 2 for ellipses, more for boxier sections.
+    """
+    outline = superellipse(1.0, 1.0, power, segments)
+    rows = np.asarray(stations, np.float64)
+    rings = np.zeros((len(rows), segments, 3))
+    rings[..., 0] = rows[:, :1]
+    rings[..., 1] = rows[:, 1:2] * outline[:, 0]
+    rings[..., 2] = rows[:, 2:3] * outline[:, 1] + rows[:, 3:4]
+    return loft(rings, caps)
+
+
 def sheet(grid: ArrayLike, wrap: bool = False) -> Solid:
     """A surface through a grid of points (m,n,3); ``wrap`` joins the last column to the first."""
     grid = np.asarray(grid, np.float64)
