@@ -1,0 +1,147 @@
+"""``partialbench show``: a page of samples that a person can judge, as PNG or interactive HTML.
+
+Each cloud is drawn as its camera sees it (x right, y down), coloured by depth, near bright, with
+the object's canonical axes (x red, y green, z blue) and the visible fraction in its title.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.dataset.loader import ShardDataset
+from partialbench.dataset.seeding import generator
+from partialbench.dataset.shards import write_atomically
+from partialbench.errors import InputError
+
+AXIS_COLOURS = {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"}
+
+
+def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed: int = 0) -> Path:
+    """Draw ``samples`` random rows of a data folder, classes mixed.
+
+    Args:
+        folder: made by ``partialbench render``.
+        out: where to write; the suffix says what: .png or .html.
+        split: which split to draw from.
+        seed: which rows; the same seed shows the same rows.
+
+    Returns:
+        ``out``.
+    """
+    out = Path(out)
+    if out.suffix.lower() not in (".png", ".html"):
+        raise InputError(f"--out {out} must end in .png (a picture) or .html (to turn by hand)")
+    data = ShardDataset(folder, split, num_points=1)
+    data = ShardDataset(folder, split, num_points=data.manifest.configuration["points"])
+    rows = choose_rows(data.labels, samples, seed)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.suffix.lower() == ".png":
+        _write_png(data, rows, out)
+    else:
+        _write_html(data, rows, out)
+    return out
+
+
+def choose_rows(labels: NDArray, samples: int, seed: int) -> NDArray[np.int64]:
+    """Row indices that go round the classes, so that a page shows as many of them as it can."""
+    if samples < 1:
+        raise InputError(f"samples must be at least 1, got {samples}")
+    rng = generator(seed, "show")
+    order = rng.permutation(len(labels))
+    turn: dict[int, int] = {}
+    rounds = np.zeros(len(labels), np.int64)
+    for row in order:
+        label = int(labels[row])
+        rounds[row] = turn[label] = turn.get(label, -1) + 1
+    ranked = order[np.argsort(rounds[order], kind="stable")]
+    chosen = ranked[:samples]
+    return chosen[np.argsort(labels[chosen], kind="stable")]
+
+
+def _write_png(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(6, len(rows))
+    lines = -(-len(rows) // columns)
+    figure = Figure(figsize=(2.3 * columns, 2.55 * lines + 0.5), dpi=120)
+    FigureCanvasAgg(figure)
+    figure.suptitle(f"{data.dataset_id} · {data.split} · {data.setting}", fontsize=11)
+    for n, (row, cloud) in enumerate(zip(rows, data.points(rows), strict=True)):
+        axes = figure.add_subplot(lines, columns, n + 1)
+        far_first = np.argsort(-cloud[:, 2])
+        # Perspective picture plane, scaled to the object's distance.
+        centre = cloud.mean(0)
+        picture = (cloud[:, :2] / cloud[:, 2:] - centre[:2] / centre[2]) * centre[2]
+        axes.scatter(*picture[far_first].T, c=-cloud[far_first, 2], s=1.5, cmap="viridis", lw=0)
+        _draw_axes(axes, data.rotations[row])
+        name = data.class_names[data.labels[row]]
+        seen = f"{data.visible_fraction[row]:.0%} seen"
+        axes.set_title(f"{name}\n{data.object_ids[row]} · {seen}", fontsize=6.5)
+        axes.set_aspect("equal")
+        axes.set_xlim(-1.15, 1.15)
+        axes.set_ylim(1.15, -1.15)  # y points down
+        axes.axis("off")
+    figure.tight_layout(rect=(0, 0, 1, 0.97))
+    with open(out, "wb") as file:
+        figure.savefig(file, format="png")
+
+
+def _draw_axes(axes, rotation: NDArray, length: float = 0.3) -> None:
+    """The object's canonical axes in the lower left corner, foreshortened as in the picture."""
+    corner = np.array([-0.8, 0.8])
+    for direction, colour in zip(rotation.T, AXIS_COLOURS.values(), strict=True):
+        tip = direction[:2] * length
+        axes.annotate(
+            "", corner + tip, corner, arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.2}
+        )
+
+
+def _write_html(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
+    import plotly.graph_objects as go
+    from plotly.subplots import make_subplots
+
+    columns = min(4, len(rows))
+    lines = -(-len(rows) // columns)
+    titles = [
+        f"{data.class_names[data.labels[row]]} · {data.object_ids[row]} · "
+        f"{data.visible_fraction[row]:.0%} seen"
+        for row in rows
+    ]
+    figure = make_subplots(
+        lines, columns, specs=[[{"type": "scene"}] * columns] * lines, subplot_titles=titles,
+        horizontal_spacing=0.01, vertical_spacing=0.4 / lines / 4,
+    )  # fmt: skip
+    for n, (row, cloud) in enumerate(zip(rows, data.points(rows), strict=True)):
+        place = {"row": n // columns + 1, "col": n % columns + 1}
+        centred = cloud - cloud.mean(0)
+        x, y, z = np.round(centred, 3).T
+        marker = {"size": 1.6, "color": np.round(-cloud[:, 2], 3), "colorscale": "Viridis"}
+        figure.add_trace(
+            go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, hoverinfo="skip"), **place
+        )
+        for direction, (axis, colour) in zip(
+            data.rotations[row].T, AXIS_COLOURS.items(), strict=True
+        ):
+            tip = direction * 0.6
+            figure.add_trace(
+                go.Scatter3d(
+                    x=[0, tip[0]], y=[0, tip[1]], z=[0, tip[2]], mode="lines+text",
+                    text=["", axis], line={"color": colour, "width": 4}, hoverinfo="skip",
+                ),
+                **place,
+            )  # fmt: skip
+    # Seen from the camera: looking along +z, y down.
+    view = {"eye": {"x": 0, "y": 0, "z": -1.8}, "up": {"x": 0, "y": -1, "z": 0}}
+    hidden = {"visible": False}
+    figure.update_scenes(camera=view, aspectmode="data", xaxis=hidden, yaxis=hidden, zaxis=hidden)
+    figure.update_annotations(font_size=11)
+    figure.update_layout(
+        title=f"{data.dataset_id} · {data.split} · {data.setting}: drag to turn",
+        height=300 * lines + 80, showlegend=False, margin={"l": 8, "r": 8, "t": 70, "b": 8},
+    )  # fmt: skip
+    page = figure.to_html(include_plotlyjs=True, full_html=True, div_id="samples")
+    write_atomically(out, page.encode())
