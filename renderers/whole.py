@@ -1,0 +1,90 @@
+"""The whole surface, nothing hidden: complete clouds for the settings "aligned" and "rotated"."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from partialbench.dataset.sources import View
+from partialbench.errors import InputError
+
+
+def as_cloud(shape: Any) -> NDArray[np.float64]:
+    """The (n,3) float64 points of a shape that must be a cloud; ``InputError`` when it is not."""
+    if isinstance(shape, trimesh.Trimesh):
+        raise InputError(
+            "the shape is a mesh, expected an (n,3) cloud; hidden point removal works on clouds: "
+            "use a source of clouds, or a depth renderer for meshes"
+        )
+    cloud = np.asarray(shape, np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) == 0:
+        raise InputError(f"the shape must be an (n,3) cloud with n ≥ 1, got {cloud.shape}")
+    return cloud
+
+
+def sample_surface(
+    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """``count`` points uniform on the surface of a mesh by area, (count,3) float64, object frame.
+
+    Source of the barycentric weights: Osada et al. 2002, section 3.1 (1 − √a, √a(1 − b), √a·b).
+
+    Raises:
+        InputError: the mesh has no area.
+    """
+    triangles = np.asarray(mesh.triangles, np.float64)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    cumulative = np.cumsum(np.linalg.norm(normals, axis=1) / 2)
+    if len(cumulative) == 0 or not cumulative[-1] > 0:
+        raise InputError(f"the mesh has no surface: {len(triangles)} faces with a total area of 0")
+    # side="right" never picks a face without area.
+    face = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
+    face = np.minimum(face, len(triangles) - 1)
+    root, b = np.sqrt(rng.random(count)), rng.random(count)
+    weights = np.stack([1 - root, root * (1 - b), root * b], axis=1)
+    return np.einsum("nk,nkd->nd", weights, triangles[face])
+
+
+class WholeOccluder:
+    """Complete clouds: every point of a cloud, or samples of a mesh's whole surface.
+
+    No image is formed (K is zeros) and ``visible_fraction`` is 1.
+
+    Args:
+        samples: points drawn on a mesh per view; at least as many as the builder keeps, or rows
+            repeat points.
+    """
+
+    def __init__(self, samples: int = 2048) -> None:
+        if samples < 1:
+            raise InputError(f"samples must be at least 1, got {samples}")
+        self.samples = samples
+
+    def views(
+        self, shape: Any, poses: list[tuple[NDArray, NDArray]], rngs: list[np.random.Generator]
+    ) -> list[View]:
+        """One view per pose; a mesh is sampled with the view's own generator."""
+        is_mesh = isinstance(shape, trimesh.Trimesh)
+        views = []
+        for (rotation, translation), rng in zip(poses, rngs, strict=True):
+            points = sample_surface(shape, self.samples, rng) if is_mesh else as_cloud(shape)
+            rotation = np.asarray(rotation, np.float64)
+            in_camera = (points @ rotation.T + translation).astype(np.float32)
+            views.append(
+                View(
+                    points=in_camera,
+                    R_camera_object=rotation,
+                    t_camera_object=np.asarray(translation, np.float64),
+                    K=np.zeros((3, 3)),
+                    visible_fraction=1.0,
+                    n_visible=len(in_camera) if is_mesh else len(np.unique(points, axis=0)),
+                )
+            )
+        return views
+
+    def describe(self) -> dict[str, Any]:
+        """Name and samples, for the configuration."""
+        return {"name": "whole", "samples": self.samples}
