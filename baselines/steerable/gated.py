@@ -1,0 +1,66 @@
+"""The gated non-linearity: Weiler et al. 2018, section 4.3."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from baselines.steerable.convolution import SteerableConvolution
+from baselines.steerable.fields import Fields
+
+
+class GatedBlock(nn.Module):
+    """Steerable convolution, then ReLU(x + b) on scalars and v·σ(g + b) on fields of degree l > 0.
+
+    The gates g are further scalar outputs of the same convolution, one per field, so the product
+    is equivariant. Without fields of degree l > 0 there are no gates.
+
+    Args:
+        fields_in, fields_out: what the channels are.
+        size, padding, stride, momentum, formulation: as for ``SteerableConvolution``.
+    """
+
+    def __init__(
+        self,
+        fields_in: Fields,
+        fields_out: Fields,
+        size: int,
+        *,
+        padding: int = 0,
+        stride: int = 1,
+        momentum: float = 0.1,
+        formulation: str = "auto",
+    ) -> None:
+        super().__init__()
+        scalars, *others = fields_out.multiplicities
+        self.fields_in, self.fields_out = fields_in, fields_out
+        self.convolution = SteerableConvolution(
+            fields_in,
+            Fields((scalars + sum(others), *others)),
+            size,
+            padding=padding,
+            stride=stride,
+            momentum=momentum,
+            formulation=formulation,
+        )
+        self.scalar_bias = nn.Parameter(torch.zeros(scalars))
+        self.gate_bias = nn.Parameter(torch.zeros(sum(others)))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B,C_in,X,Y,Z) → (B,C_out,X',Y',Z')."""
+        y = self.convolution(x)
+        bias = torch.cat([self.scalar_bias, self.gate_bias]).view(-1, 1, 1, 1).to(y.dtype)
+        pre, rest = y.split([len(bias), y.shape[1] - len(bias)], dim=1)
+        pre = pre + bias
+        scalars, gates = pre.split([len(self.scalar_bias), len(self.gate_bias)], dim=1)
+        parts = [torch.relu(scalars)]
+        if rest.shape[1]:
+            gates = torch.sigmoid(gates)
+            first = channel = 0
+            for degree, m in enumerate(self.fields_out.multiplicities):
+                if degree and m:
+                    field = rest[:, channel : channel + m * (2 * degree + 1)]
+                    gate = gates[:, first : first + m, None]
+                    parts.append((field.unflatten(1, (m, 2 * degree + 1)) * gate).flatten(1, 2))
+                    first, channel = first + m, channel + m * (2 * degree + 1)
+        return torch.cat(parts, dim=1)
