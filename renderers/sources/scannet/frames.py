@@ -1,0 +1,273 @@
+"""Readers for the files of one ScanNet scene, each with errors that say what is wrong.
+
+    <scene>_vh_clean_2.ply                  vertices and faces, metres, z up          required
+    <scene>_vh_clean_2.labels.ply           property label: an nyu40 id per vertex   ┐ one of
+    <scene>_vh_clean_2.0.010000.segs.json   segIndices: a segment per vertex         ┐ the two
+    <scene>[_vh_clean].aggregation.json     segGroups: objectId, segments, label     ┘
+    scannetv2-labels.combined.tsv           raw category → nyu40 id, ModelNet40 name
+
+The scan frame is the mesh's own. ``<scene>.txt`` and its ``axisAlignment`` are not read: it turns
+the scan about z, and Scan2CAD's poses are relative to the mesh as stored.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from partialbench.dataset.categories import PS15
+from partialbench.errors import InputError
+
+LABEL_MAP = "scannetv2-labels.combined.tsv"
+NYU40_MAX = 40
+FLOOR_IDS = (2, 20)
+"""nyu40: floor, floor mat."""
+
+# A class's nyu40 ids are those that hold at least this share of its raw categories' instances: it
+# keeps "bookshelf" and "shelves" for bookshelf and drops "otherfurniture" for bed (one bunk bed).
+NYU40_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class LabelMap:
+    """``scannetv2-labels.combined.tsv`` as far as PS15 needs it.
+
+    Attributes:
+        class_of: raw category → PS15 class name.
+        nyu40_of: raw category → nyu40 id.
+        nyu40_of_id: ScanNet's own category id (column "id") → nyu40 id.
+        nyu40_ids: PS15 class name → the nyu40 ids its instances carry.
+    """
+
+    class_of: dict[str, str]
+    nyu40_of: dict[str, int]
+    nyu40_of_id: dict[int, int]
+    nyu40_ids: dict[str, frozenset[int]]
+
+
+@dataclass(frozen=True)
+class SegmentGroup:
+    """One annotated object of an aggregation file: its segments and raw category."""
+
+    object_id: int
+    label: str
+    segments: NDArray[np.int64]
+
+
+@dataclass
+class Scene:
+    """One scan.
+
+    Attributes:
+        scene_id: e.g. "scene0470_00".
+        vertices: (n,3) float64, metres, scan frame, z up.
+        normals: (n,3) float64 unit vertex normals (zero where a vertex has no face).
+        labels: (n,) int64 nyu40 ids, 0 = unlabelled.
+        groups: the annotated objects, or None where the scene came without segmentation files.
+        segments: (n,) int64 segment of each vertex, or None likewise.
+        notes: what reading changed, e.g. how many labels were mapped.
+    """
+
+    scene_id: str
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    labels: NDArray[np.int64]
+    groups: list[SegmentGroup] | None
+    segments: NDArray[np.int64] | None
+    notes: dict[str, Any]
+
+
+def space_of(scene_id: str) -> str:
+    """The place a scan was taken in: rescans "scene0470_00" and "scene0470_01" share one."""
+    return scene_id.rsplit("_", 1)[0]
+
+
+def read_label_map(path: Path) -> LabelMap:
+    """The label map; InputError when it is absent or lacks a column.
+
+    A raw category's PS15 class is its ModelNet40 column; printer and stove, which ModelNet40 does
+    not have, go by the ShapeNetCore55 column.
+    """
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file, delimiter="\t")
+            columns = {"id", "raw_category", "nyu40id", "ModelNet40", "ShapeNetCore55", "count"}
+            if absent := sorted(columns - set(reader.fieldnames or ())):
+                raise InputError(f"{path} lacks the column(s) {', '.join(absent)}")
+            rows = list(reader)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"cannot read ScanNet's label map {path}: {error}. It is part of the ScanNet download: "
+            f"put it beside the scans folder"
+        ) from error
+    class_of: dict[str, str] = {}
+    nyu40_of: dict[str, int] = {}
+    nyu40_of_id: dict[int, int] = {}
+    counts: dict[str, Counter[int]] = {name: Counter() for name in PS15}
+    for line, row in enumerate(rows, 2):
+        try:
+            nyu40, count = int(row["nyu40id"]), int(row["count"])
+            nyu40_of_id[int(row["id"])] = nyu40
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{path}, line {line}: expected numbers: {error}") from error
+        raw = row["raw_category"]
+        nyu40_of[raw] = nyu40
+        name = row["ModelNet40"] if row["ModelNet40"] in PS15 else row["ShapeNetCore55"]
+        if name in PS15 and (row["ModelNet40"] in PS15 or name in ("printer", "stove")):
+            class_of[raw] = name
+            counts[name][nyu40] += count
+    nyu40_ids = {
+        name: frozenset(i for i, n in found.items() if n >= NYU40_SHARE * found.total())
+        for name, found in counts.items()
+    }
+    return LabelMap(class_of, nyu40_of, nyu40_of_id, nyu40_ids)
+
+
+def scene_folder(root: Path, scene_id: str) -> Path | None:
+    """``root/scans/<scene>`` or ``root/<scene>``, whichever is there."""
+    for folder in (root / "scans" / scene_id, root / scene_id):
+        if folder.is_dir():
+            return folder
+    return None
+
+
+def scene_files(folder: Path) -> dict[str, Path]:
+    """The files of a scene that are there: mesh, labels, segments, aggregation."""
+    scene = folder.name
+    candidates = {
+        "mesh": [f"{scene}_vh_clean_2.ply"],
+        "labels": [f"{scene}_vh_clean_2.labels.ply"],
+        "segments": [f"{scene}_vh_clean_2.0.010000.segs.json"],
+        "aggregation": [f"{scene}.aggregation.json", f"{scene}_vh_clean.aggregation.json"],
+    }
+    return {
+        kind: folder / name
+        for kind, names in candidates.items()
+        for name in reversed(names)
+        if (folder / name).is_file()
+    }
+
+
+def read_scene(folder: Path, label_map: LabelMap) -> Scene:
+    """One scene from its folder.
+
+    Raises:
+        InputError: the mesh is missing, or both the labels and the segmentation are; a file is
+            damaged or does not fit the mesh.
+    """
+    scene_id, files = folder.name, scene_files(folder)
+    if "mesh" not in files:
+        raise InputError(f"{scene_id}: {scene_id}_vh_clean_2.ply is missing")
+    segmented = "segments" in files and "aggregation" in files
+    if "labels" not in files and not segmented:
+        raise InputError(
+            f"{scene_id}: neither {scene_id}_vh_clean_2.labels.ply nor both of "
+            f"{scene_id}_vh_clean_2.0.010000.segs.json and {scene_id}.aggregation.json are there"
+        )
+    mesh = _read_ply(files["mesh"])
+    vertices = np.asarray(mesh.vertices, np.float64)
+    if not np.isfinite(vertices).all():
+        raise InputError(f"{files['mesh'].name}: has vertices that are not finite")
+    notes: dict[str, Any] = {}
+    groups = segments = None
+    if segmented:
+        segments = _read_segments(files["segments"], len(vertices))
+        groups = _read_groups(files["aggregation"])
+    if "labels" in files:
+        labels = _read_labels(files["labels"], len(vertices), label_map, notes)
+    else:
+        assert segments is not None
+        assert groups is not None
+        labels = np.zeros(len(vertices), np.int64)
+        for group in groups:
+            labels[np.isin(segments, group.segments)] = label_map.nyu40_of.get(group.label, 0)
+    return Scene(scene_id, vertices, _normals(mesh), labels, groups, segments, notes)
+
+
+def _read_ply(path: Path) -> trimesh.Trimesh:
+    try:
+        mesh = trimesh.load(path, file_type="ply", process=False)
+    except OSError as error:
+        raise InputError(f"{path.name}: cannot be read: {error}") from error
+    except Exception as error:  # a damaged file surfaces in the parser as almost anything
+        raise InputError(f"{path.name}: damaged PLY ({type(error).__name__}: {error})") from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.vertices) == 0:
+        raise InputError(f"{path.name}: has no faces or no vertices, expected a triangle mesh")
+    return mesh
+
+
+def _normals(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
+    """Area-weighted vertex normals (trimesh's own weigh by angle, an order of magnitude slower)."""
+    a, b, c = np.asarray(mesh.vertices)[mesh.faces].transpose(1, 0, 2)
+    across = np.cross(b - a, c - a)
+    total = np.stack(
+        [
+            np.bincount(mesh.faces.ravel(), np.repeat(across[:, i], 3), len(mesh.vertices))
+            for i in range(3)
+        ],
+        axis=1,
+    )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+
+def _read_labels(
+    path: Path, vertices: int, label_map: LabelMap, notes: dict[str, Any]
+) -> NDArray[np.int64]:
+    raw = _read_ply(path).metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    if raw is None or "label" not in raw.dtype.names:
+        raise InputError(f"{path.name}: its vertices have no property 'label'")
+    labels = np.asarray(raw["label"], np.int64).reshape(-1)
+    if len(labels) != vertices:
+        raise InputError(f"{path.name}: labels {len(labels)} vertices, the mesh has {vertices}")
+    # Some releases hold ScanNet's own ids among the nyu40 ids; above 40 they are told apart.
+    for value in np.unique(labels[(labels > NYU40_MAX) | (labels < 0)]).tolist():
+        chosen = labels == value
+        nyu40 = label_map.nyu40_of_id.get(value)
+        key = "labels_unknown" if nyu40 is None else "labels_mapped"
+        notes.setdefault(key, {})[str(value)] = int(chosen.sum())
+        labels[chosen] = nyu40 or 0
+    return labels
+
+
+def _read_json(path: Path, key: str) -> Any:
+    try:
+        return json.loads(path.read_bytes())[key]
+    except OSError as error:
+        raise InputError(f"{path.name}: cannot be read: {error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path.name}: damaged, expected JSON with the key {key!r}") from error
+
+
+def _read_segments(path: Path, vertices: int) -> NDArray[np.int64]:
+    try:
+        segments = np.asarray(_read_json(path, "segIndices"), np.int64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path.name}: segIndices are not integers") from error
+    if segments.shape != (vertices,):
+        raise InputError(
+            f"{path.name}: segIndices has shape {segments.shape}, the mesh has {vertices} vertices"
+        )
+    return segments
+
+
+def _read_groups(path: Path) -> list[SegmentGroup]:
+    try:
+        return [
+            SegmentGroup(
+                int(group["objectId"]), str(group["label"]), np.asarray(group["segments"], np.int64)
+            )
+            for group in _read_json(path, "segGroups")
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path.name}: a segGroup lacks objectId, label or integer segments ({error})"
+        ) from error

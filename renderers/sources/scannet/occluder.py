@@ -1,0 +1,56 @@
+"""Hidden point removal of a scanned instance, and the rules that judge each view of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.dataset.sources import RejectedView, View
+from renderers.hpr import DEFAULT_GAMMA, hidden_point_removal, paper_radius
+from renderers.sources.scannet.filters import Rules, judge_view
+from renderers.sources.scannet.source import ScanInstance
+
+
+class ScanHprOccluder:
+    """An ``Occluder`` for `ScanInstance`: HPR of its points, then ``filters.judge_view``.
+
+    Args:
+        gamma: HPR's relative radius, as ``hpr.paper_radius`` takes it.
+        rules: thresholds; the views' three are used.
+    """
+
+    def __init__(self, gamma: float = DEFAULT_GAMMA, rules: Rules | None = None) -> None:
+        self.gamma = gamma
+        self.rules = rules or Rules()
+
+    def views(
+        self,
+        shape: ScanInstance,
+        poses: list[tuple[NDArray, NDArray]],
+        rngs: list[np.random.Generator],
+    ) -> list[View | RejectedView]:
+        """One result per pose; hidden point removal draws nothing, ``rngs`` are not used."""
+        return [self._view(shape, np.asarray(R), np.asarray(t)) for R, t in poses]
+
+    def describe(self) -> dict[str, Any]:
+        """Method, radius and thresholds, as JSON data."""
+        return {"occluder": "scan-hpr", "gamma": self.gamma, "rules": self.rules.describe()}
+
+    def _view(self, shape: ScanInstance, R: NDArray, t: NDArray) -> View | RejectedView:
+        viewpoint = -R.T @ t
+        radius = paper_radius(shape.points, viewpoint, self.gamma)
+        seen = hidden_point_removal(shape.points, viewpoint, radius)
+        points = shape.points[seen].astype(np.float64)
+        if rejected := judge_view(points, shape.normals[seen], viewpoint, self.rules):
+            return rejected
+        return View(
+            points=(points @ R.T + t).astype(np.float32),
+            R_camera_object=R,
+            t_camera_object=t,
+            K=np.zeros((3, 3)),
+            visible_fraction=len(seen) / len(shape.points),
+            n_visible=len(seen),
+            symmetry=shape.symmetry,
+        )

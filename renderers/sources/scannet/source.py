@@ -1,0 +1,377 @@
+"""PS15's source: the instances of ScanNet scans that Scan2CAD aligned a CAD model to."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.dataset.categories import PS15
+from partialbench.dataset.shards import file_sha256
+from partialbench.dataset.sources import ObjectRef, RejectedObject
+from partialbench.errors import InputError
+from partialbench.geometry.camera import sample_pose
+from renderers.sources.scannet.filters import Rules
+from renderers.sources.scannet.frames import (
+    FLOOR_IDS,
+    LABEL_MAP,
+    LabelMap,
+    read_label_map,
+    read_scene,
+    scene_files,
+    scene_folder,
+    space_of,
+)
+from renderers.sources.scannet.instances import Instance, box_residual_m, segment
+from renderers.sources.scannet.scan2cad import SceneAnnotation, read_annotations
+from renderers.viewpoints import places_for, standing_places, standing_pose
+
+PAPER_COUNTS = {"train": 22_670, "test": 5_650}
+"""Samples of the paper's PS15 (section 5.1)."""
+PAPER_VIEWS = 10
+VIEWPOINTS = ("standing", "uniform")
+TRAIN_SHARE = 0.8
+NO_PLACE = "no place to stand: no free floor within sight of it"
+
+
+@dataclass(frozen=True)
+class ScanInstance:
+    """One scanned object, normalised, with what its viewpoints need.
+
+    p_scan = scale_m · R_scan_object · p_object + origin.
+
+    Attributes:
+        points: (n,3) float32, canonical frame (z up), bounding-box centre at the origin, largest
+            norm 1.
+        normals: (n,3) float32 of the scan's surface there, same frame.
+        symmetry: ``geometry.symmetry.GROUPS`` name, Scan2CAD's for the instance's CAD model.
+        R_scan_object: (3,3) float64 in SO(3).
+        scale_m: metres per object unit.
+        origin: (3,) float64 of the object frame in the scan frame, metres.
+        places: (k,2) float64 where a person could stand and see it, scan frame, metres.
+        floor_z: height of the floor, scan frame, metres.
+        class_name: one of PS15's.
+        box_centre, box_half_extent: (3,) float64 the CAD's box in the object frame, object units.
+        residual_m: median distance between the box's faces and the points' extent, metres.
+        details: how the instance was found.
+    """
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    symmetry: str
+    R_scan_object: NDArray[np.float64]
+    scale_m: float
+    origin: NDArray[np.float64]
+    places: NDArray[np.float64]
+    floor_z: float
+    class_name: str
+    box_centre: NDArray[np.float64]
+    box_half_extent: NDArray[np.float64]
+    residual_m: float
+    details: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Listed:
+    """What listing found in one scene."""
+
+    instances: tuple[tuple[int, str], ...]  # (index in the annotation, class name)
+    rejected: tuple[
+        tuple[str, str, dict[str, Any], bool], ...
+    ]  # (object id, reason, details, failed)
+    notes: dict[str, Any]
+
+
+@dataclass
+class ScanNetInstances:
+    """A `partialbench.dataset.sources.Source` over a ScanNet folder and a Scan2CAD file.
+
+    Args:
+        scannet_dir: holds ``scans/<scene>/`` (or ``<scene>/``) and the label map.
+        scan2cad_file: ``full_annotations.json``.
+        viewpoints: "standing" (a person with a camera in the room) or "uniform" (the paper's poses:
+            Haar rotation, t_x, t_y ~ U(−2, 2), t_z ~ U(2, 5)).
+        split_file: JSON object {"train": [...], "test": [...]} of scene ids or space ids; a scene
+            in neither is left out. Default: four of five spaces by hash, see ``split_of``.
+        label_map: default ``scannet_dir/scannetv2-labels.combined.tsv``.
+        rules: thresholds of ``filters``.
+        workers: processes that list scenes.
+
+    Raises:
+        InputError: the folder, the annotations, the label map or the split file cannot be used.
+    """
+
+    scannet_dir: Path
+    scan2cad_file: Path
+    viewpoints: str = "standing"
+    split_file: Path | None = None
+    label_map: Path | None = None
+    rules: Rules = field(default_factory=Rules)
+    workers: int = 1
+    class_names: tuple[str, ...] = PS15
+    frame: str = "aligned"
+
+    def __post_init__(self) -> None:
+        self.scannet_dir, self.scan2cad_file = Path(self.scannet_dir), Path(self.scan2cad_file)
+        if self.viewpoints not in VIEWPOINTS:
+            raise InputError(
+                f"viewpoints {self.viewpoints!r} is not one of {', '.join(VIEWPOINTS)}"
+            )
+        if not self.scannet_dir.is_dir():
+            raise InputError(
+                f"{self.scannet_dir} is no folder; give --scannet the folder that holds scans/"
+            )
+        self.label_map = self.label_map or self.scannet_dir / LABEL_MAP
+        self._labels: LabelMap = read_label_map(self.label_map)
+        self._annotations = {a.scene_id: a for a in read_annotations(self.scan2cad_file)}
+        self._splits = None if self.split_file is None else read_split_file(self.split_file)
+        self._listed: dict[str, _Listed] | None = None
+        self._scene: tuple[str, dict[int, ScanInstance], str] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A worker loads its own scenes; the listing stays with whoever made it.
+        return {**self.__dict__, "_scene": None, "_listed": None}
+
+    def split_of(self, scene_id: str) -> str | None:
+        """The split of a scene; rescans of one space stay together. None: in neither.
+
+        ScanNet's own lists are not ours to ship: without a split file, a space is in "train" when
+        the first 8 bytes of SHA-256(space id), as a fraction, are below 0.8.
+        """
+        space = space_of(scene_id)
+        if self._splits is not None:
+            return self._splits.get(scene_id, self._splits.get(space))
+        digest = hashlib.sha256(space.encode()).digest()
+        return "train" if int.from_bytes(digest[:8], "big") < TRAIN_SHARE * 2**64 else "test"
+
+    def splits(self) -> tuple[str, ...]:
+        """The splits that have objects."""
+        return tuple(split for split in ("train", "test") if self.objects(split))
+
+    def objects(self, split: str) -> list[ObjectRef]:
+        """The split's instances, by scene id and then by position in the annotation."""
+        return [
+            ObjectRef(f"{scene_id}/{index}", PS15.index(name), split, scene_id)
+            for scene_id, listed in self._list().items()
+            if self.split_of(scene_id) == split
+            for index, name in listed.instances
+        ]
+
+    @property
+    def rejected(self) -> list[RejectedObject]:
+        """Scenes and aligned models that give no instance, with their reasons."""
+        return [
+            RejectedObject(
+                object_id, self.split_of(scene_id) or "", reason, scene_id, details, failed
+            )
+            for scene_id, listed in self._list().items()
+            for object_id, reason, details, failed in listed.rejected
+        ]
+
+    def load(self, ref: ObjectRef) -> ScanInstance:
+        """The instance; the last scene read stays in memory."""
+        instances, _ = self._scene_instances(ref.location)
+        index = int(ref.object_id.rsplit("/", 1)[1])
+        if index not in instances:
+            raise InputError(f"{ref.object_id}: no such instance; were the files changed since?")
+        return instances[index]
+
+    def digest(self, ref: ObjectRef) -> str:
+        """SHA-256 over the scene's files and its annotation."""
+        return self._scene_instances(ref.location)[1]
+
+    def poses(
+        self, shape: ScanInstance, rngs: list[np.random.Generator]
+    ) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """One (R_camera_object, t_camera_object) per generator, t in object units."""
+        if self.viewpoints == "uniform":
+            return [sample_pose(rng) for rng in rngs]
+        poses = []
+        for rng in rngs:
+            R_camera_scan, position = standing_pose(
+                rng, shape.places, shape.floor_z, shape.origin, shape.scale_m
+            )
+            t = R_camera_scan @ (shape.origin - position) / shape.scale_m
+            poses.append((R_camera_scan @ shape.R_scan_object, t))
+        return poses
+
+    def describe(self) -> dict[str, Any]:
+        """The options and what the annotations and the label map say, as digests."""
+        assert self.label_map is not None
+        return {
+            "source": "scannet-scan2cad",
+            "viewpoints": self.viewpoints,
+            "rules": self.rules.describe(),
+            "annotations": file_sha256(self.scan2cad_file),
+            "label_map": file_sha256(self.label_map),
+            "split": "sha256(space) < 0.8" if self._splits is None else dict(self._splits),
+            "scenes": len(self._list()),
+        }
+
+    def counts(self) -> dict[str, dict[str, int]]:
+        """Split → class name → number of instances."""
+        found = {}
+        for split in ("train", "test"):
+            labels = Counter(ref.label for ref in self.objects(split))
+            found[split] = {name: labels[i] for i, name in enumerate(PS15)}
+        return found
+
+    def notes(self) -> dict[str, dict[str, Any]]:
+        """Scene id → what reading it changed (labels above nyu40's range), where it did."""
+        return {scene: listed.notes for scene, listed in self._list().items() if listed.notes}
+
+    def _list(self) -> dict[str, _Listed]:
+        if self._listed is None:
+            scenes = [s for s in sorted(self._all_scenes()) if self.split_of(s) is not None]
+            if self.workers > 1 and len(scenes) > 1:
+                with ProcessPoolExecutor(self.workers, get_context("spawn")) as pool:
+                    results = list(pool.map(self._list_scene, scenes, chunksize=4))
+            else:
+                results = [self._list_scene(scene) for scene in scenes]
+            listed = dict(zip(scenes, results, strict=True))
+            if not any(r.instances for r in results):
+                raise InputError(self._nothing(listed))
+            self._listed = listed
+        return self._listed
+
+    def _all_scenes(self) -> set[str]:
+        scans = self.scannet_dir / "scans"
+        folder = scans if scans.is_dir() else self.scannet_dir
+        present = {path.name for path in folder.iterdir() if path.is_dir() and scene_files(path)}
+        return present | set(self._annotations)
+
+    def _list_scene(self, scene_id: str) -> _Listed:
+        annotation = self._annotations.get(scene_id)
+        if annotation is None:
+            return _Listed((), ((scene_id, "the scene has no annotation", {}, False),), {})
+        if scene_folder(self.scannet_dir, scene_id) is None:
+            reason = "the annotated scene is not in the ScanNet folder"
+            return _Listed((), ((scene_id, reason, {}, False),), {})
+        if annotation.problem:
+            return _Listed((), ((scene_id, annotation.problem, {}, True),), {})
+        try:
+            found, rejected, notes = self._read(annotation)
+        except InputError as error:
+            return _Listed((), ((scene_id, str(error), {}, True),), {})
+        return _Listed(
+            tuple((index, instance.class_name) for index, instance in found.items()),
+            tuple((f"{scene_id}/{i}", reason, details, False) for i, reason, details in rejected),
+            notes,
+        )
+
+    def _nothing(self, listed: dict[str, _Listed]) -> str:
+        reasons = Counter(reason for r in listed.values() for _, reason, _, _ in r.rejected)
+        first = "; ".join(f"{reason} ({n}×)" for reason, n in reasons.most_common(3))
+        return (
+            f"no PS15 instance found in {self.scannet_dir} with {self.scan2cad_file.name}: {first or 'no scene in either split'}. "
+            f"Expected {self.scannet_dir}/scans/<scene>/<scene>_vh_clean_2.ply and its labels"
+        )
+
+    def _scene_instances(self, scene_id: str) -> tuple[dict[int, ScanInstance], str]:
+        if self._scene is None or self._scene[0] != scene_id:
+            annotation = self._annotations.get(scene_id)
+            folder = scene_folder(self.scannet_dir, scene_id)
+            if annotation is None or folder is None:
+                raise InputError(f"scene {scene_id!r} is not in both ScanNet and Scan2CAD")
+            found, _, _ = self._read(annotation)
+            digests = [file_sha256(path) for _, path in sorted(scene_files(folder).items())]
+            whole = hashlib.sha256(json.dumps([digests, _plain(annotation)]).encode()).hexdigest()
+            self._scene = scene_id, found, whole
+        return self._scene[1], self._scene[2]
+
+    def _read(
+        self, annotation: SceneAnnotation
+    ) -> tuple[dict[int, ScanInstance], list[tuple[int, str, dict[str, Any]]], dict[str, Any]]:
+        """Instances by index, rejections (index, reason, details), and reading notes of a scene."""
+        folder = scene_folder(self.scannet_dir, annotation.scene_id)
+        assert folder is not None
+        scene = read_scene(folder, self._labels)
+        instances, turned_away = segment(scene, annotation, self._labels, self.rules)
+        places, floor_z = standing_places(scene.vertices, np.isin(scene.labels, FLOOR_IDS))
+        rejected = [(r.index, r.reason, r.details) for r in turned_away]
+        found = {}
+        for instance in instances:
+            shape = _normalised(instance, scene.vertices, scene.normals, places, floor_z)
+            if self.viewpoints == "standing" and len(shape.places) == 0:
+                rejected.append((instance.index, NO_PLACE, {"free_places": len(places)}))
+                continue
+            found[instance.index] = shape
+        return found, sorted(rejected, key=lambda r: r[0]), scene.notes
+
+
+def _normalised(
+    instance: Instance, vertices: NDArray, normals: NDArray, places: NDArray, floor_z: float
+) -> ScanInstance:
+    pose = instance.pose
+    metric = pose.to_object(vertices[instance.vertices])
+    middle = (metric.min(axis=0) + metric.max(axis=0)) / 2
+    scale_m = float(np.linalg.norm(metric - middle, axis=1).max())
+    origin = pose.centre + pose.R_scan_object @ middle
+    return ScanInstance(
+        points=((metric - middle) / scale_m).astype(np.float32),
+        normals=(normals[instance.vertices] @ pose.R_scan_object).astype(np.float32),
+        symmetry=instance.symmetry,
+        R_scan_object=pose.R_scan_object,
+        scale_m=scale_m,
+        origin=origin,
+        places=places_for(places, floor_z, origin, scale_m),
+        floor_z=floor_z,
+        class_name=instance.class_name,
+        box_centre=-middle / scale_m,
+        box_half_extent=pose.half_extent / scale_m,
+        residual_m=box_residual_m(vertices[instance.vertices], pose),
+        details=instance.details,
+    )
+
+
+def _plain(annotation: SceneAnnotation) -> list[Any]:
+    return [
+        [m.index, m.catid, m.cad_id, m.symmetry, m.M_scan_cad.tolist(), m.centre.tolist(),
+         m.half_extent.tolist(), m.problem] for m in annotation.models
+    ]  # fmt: skip
+
+
+def read_split_file(path: Path) -> dict[str, str]:
+    """Scene or space id → split, from JSON {"train": [...], "test": [...]}.
+
+    Raises:
+        InputError: it is not that, or an id is in both.
+    """
+    try:
+        lists = json.loads(Path(path).read_bytes())
+        splits = {name: split for split in ("train", "test") for name in lists[split]}
+        twice = sorted(set(lists["train"]) & set(lists["test"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f'split file {path}: expected JSON {{"train": [scene ids], "test": [scene ids]}} '
+            f"({type(error).__name__}: {error})"
+        ) from error
+    if twice:
+        raise InputError(f"split file {path}: {', '.join(twice[:5])} is in both train and test")
+    return splits
+
+
+def counts_table(counts: dict[str, dict[str, int]], views: int = PAPER_VIEWS) -> str:
+    """Instances and samples (before the view rules) per class, and the paper's totals, as Markdown.
+
+    Args:
+        counts: as ``ScanNetInstances.counts`` gives them.
+        views: viewpoints per instance.
+    """
+    lines = ["| class | train instances | test instances |", "|---|---:|---:|"]
+    lines += [f"| {name} | {counts['train'][name]} | {counts['test'][name]} |" for name in PS15]
+    totals = {split: sum(per_class.values()) for split, per_class in counts.items()}
+    lines += [
+        f"| all | {totals['train']} | {totals['test']} |",
+        f"| × {views} viewpoints | {totals['train'] * views:,} | {totals['test'] * views:,} |",
+        f"| paper's samples | {PAPER_COUNTS['train']:,} | {PAPER_COUNTS['test']:,} |",
+    ]
+    return "\n".join(lines) + "\n"
