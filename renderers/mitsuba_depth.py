@@ -194,10 +194,11 @@ def _arrays(shape: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.uin
         raise InputError("the mesh has no faces")
     if not np.isfinite(vertices).all():
         raise InputError("the mesh has vertices that are NaN or infinite")
-    if faces.min() < 0 or faces.max() >= len(vertices):
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= len(vertices):
         raise InputError(
-            f"the mesh has faces that name vertex {faces.max() if faces.min() >= 0 else faces.min()}"
-            f", but its vertices are 0 to {len(vertices) - 1}"
+            f"a face names vertex {low if low < 0 else high}; the mesh's vertices are 0 to "
+            f"{len(vertices) - 1}"
         )
     return vertices, faces.astype(np.uint32)
 
@@ -211,7 +212,8 @@ def _require_unit_ball(vertices: NDArray[np.float32]) -> None:
         )
 
 
-def _scene(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> mi.Scene:
+def _scene(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> Any:
+    """A ``mitsuba.Scene``; Any, because what its methods return depends on the variant."""
     mesh = mi.Mesh("object", len(vertices), len(faces))
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = vertices.ravel()
@@ -286,7 +288,8 @@ class _Tracer:
         view = dr.arange(mi.UInt32, ends.size) // count
         origin = dr.gather(mi.Point3f, mi.Float(eyes.astype(np.float32).ravel()), view)
         direction = mi.Vector3f(directions.reshape(-1, 3).T)
-        ray = mi.Ray3f(origin, direction, mi.Float(ends.ravel()), 0.0, mi.Color0f())
+        ray = mi.Ray3f(origin, direction)
+        ray.maxt = mi.Float(ends.ravel())
         return ~self.scene.ray_test(ray).numpy().reshape(ends.shape)
 
 
@@ -301,18 +304,14 @@ class _ScalarTracer:
         intersect = self.scene.ray_intersect_preliminary
         for row, camera in zip(_rays(R, t, cameras), cameras, strict=True):
             M, eye = row[:9].reshape(3, 3), row[9:]
-            pixels = np.append(
-                camera.pixel_centres().reshape(-1, 2),
-                np.ones((camera.width * camera.height, 1)),
-                axis=1,
-            )
-            directions = pixels.astype(np.float32) @ M.T
+            pixels = camera.pixel_centres().reshape(-1, 2).astype(np.float32)
+            directions = pixels @ M[:, :2].T + M[:, 2]
             ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(0, 0, 1))
             z = np.zeros(len(directions), np.float32)
             for k, direction in enumerate(directions.tolist()):
                 ray.d = direction
                 z[k] = intersect(ray).t
-            z[np.isinf(z)] = 0
+            z[np.isinf(z)] = 0  # a miss
             yield z.reshape(camera.height, camera.width)
 
     def clear(
@@ -320,11 +319,10 @@ class _ScalarTracer:
     ) -> NDArray[np.bool_]:
         """As ``_Tracer.clear``."""
         seen = np.zeros(ends.shape, bool)
+        blocked = self.scene.ray_test
         for k, eye in enumerate(eyes.tolist()):
             ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(0, 0, 1))
-            for j, (direction, end) in enumerate(
-                zip(directions[k].tolist(), ends[k].tolist(), strict=True)
-            ):
-                ray.d, ray.maxt = direction, end
-                seen[k, j] = not self.scene.ray_test(ray)
+            segments = zip(directions[k].tolist(), ends[k].tolist(), strict=True)
+            for j, (ray.d, ray.maxt) in enumerate(segments):
+                seen[k, j] = not blocked(ray)
         return seen

@@ -12,8 +12,8 @@ It keeps a sample from being hidden by the face it lies on. What lies closer beh
 this counts as seen: a back-to-back double face is one sheet.
 """
 
-# Successive powers of 1/ρ, ρ the real root of x³ = x + 1: the additive recurrence whose points fill
-# the plane most evenly (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+# Powers of 1/ρ, ρ the real root of x³ = x + 1: the additive recurrence whose points fill the plane
+# most evenly (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
 _PLASTIC = 1.324717957244746
 _STEPS = np.array([1 / _PLASTIC, 1 / _PLASTIC**2])
 

@@ -1,0 +1,90 @@
+"""From what a user names to a source: a registered name, or whatever lies at a path."""
+
+from __future__ import annotations
+
+import inspect
+import zipfile
+from os import PathLike
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from partialbench import registry
+from partialbench.dataset.categories import MODELNET40
+from partialbench.dataset.sources import Source
+from partialbench.errors import InputError
+from renderers.sources.files import SPLITS, Archive, Directory, Files, is_mesh
+from renderers.sources.mesh import SUFFIXES
+
+CLOUDS = "renderers.sources.clouds:CompleteClouds"
+CLOUD_SUFFIXES = (".h5", ".hdf5")
+
+
+def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
+    """The source behind a registered name or a path.
+
+    A path may be a folder or a zip in ModelNet40's tree (only OFF files, all in ModelNet40's
+    classes and splits), any other folder or zip of meshes, or an HDF5 file of complete clouds.
+
+    Args:
+        path_or_name: a name of ``registry.SOURCES`` or a path; a name wins over a path of the same
+            spelling (write ``./name`` for the path).
+        options: passed to the source: ``aligned`` (meshes), ``up`` (folders), and others' own.
+
+    Raises:
+        InputError: nothing is there, it is nothing a source reads, it holds no meshes, or an option
+            is not one of the source's.
+    """
+    text = str(path_or_name)
+    if text in registry.SOURCES:
+        return _make(registry.SOURCES[text], text, options)
+    path = Path(path_or_name)
+    if not path.exists():
+        near = registry.close_matches(text, registry.SOURCES)
+        raise InputError(f"{text!r} is neither a path that exists nor the name of a source{near}")
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        entry = _layout(Directory(path), "modelnet40")
+    elif suffix in CLOUD_SUFFIXES:
+        entry = CLOUDS
+    elif zipfile.is_zipfile(path):
+        entry = _layout(Archive(path), "modelnet40-zip")
+    elif suffix == ".zip":
+        raise InputError(f"{path} is not a readable zip file: it is damaged or was cut short")
+    elif suffix in SUFFIXES:
+        raise InputError(
+            f"{path} is a single mesh; put it as <class>/{path.name} and give the folder above"
+        )
+    else:
+        raise InputError(
+            f"{path} is no source: expected a folder or a .zip of meshes "
+            f"({', '.join(SUFFIXES)}) or an HDF5 file of clouds ({', '.join(CLOUD_SUFFIXES)})"
+        )
+    return _make(entry, text, {_first_parameter(entry): path, **options})
+
+
+def _layout(files: Files, modelnet: str) -> str:
+    """The entry of the source that reads this tree of meshes."""
+    meshes = [PurePosixPath(name) for name in files.names() if is_mesh(name)]
+    as_published = meshes and all(
+        len(path.parts) >= 3
+        and path.suffix.lower() == ".off"
+        and path.parts[-3] in MODELNET40
+        and path.parts[-2] in SPLITS
+        for path in meshes
+    )
+    return registry.SOURCES[modelnet if as_published else "folder"]
+
+
+def _first_parameter(entry: str) -> str:
+    return next(iter(inspect.signature(registry.load(entry)).parameters))
+
+
+def _make(entry: str, named: str, options: dict[str, Any]) -> Source:
+    factory = registry.load(entry)
+    signature = inspect.signature(factory)
+    try:
+        signature.bind(**options)
+    except TypeError as error:
+        known = ", ".join(signature.parameters)
+        raise InputError(f"the source {named!r} takes {known or 'no options'}: {error}") from None
+    return factory(**options)
