@@ -76,7 +76,11 @@ def standing_pose(
     centre: NDArray,
     radius_m: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A hand-held camera at one of the (j,2) places: (R_camera_scan (3,3), position (3,) in scan)."""
+    """A hand-held camera at one of the (j,2) places.
+
+    Returns:
+        R_camera_scan (3,3) and the camera's position (3,) in the scan frame.
+    """
     place = places[rng.integers(len(places))] + rng.uniform(-0.5, 0.5, 2) * CELL_M
     position = np.array([*place, floor_z + rng.uniform(*CAMERA_HEIGHT_M)])
     target = centre + rng.uniform(-AIM_SPREAD, AIM_SPREAD, 3) * radius_m

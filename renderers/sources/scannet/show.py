@@ -1,4 +1,4 @@
-"""A picture to check poses by eye: each instance's points in its canonical frame with its CAD's box."""
+"""A picture to check poses by eye: each instance's points and CAD box in its canonical frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EYE = np.array([0.55, -0.7, 0.45])
 def draw_instances(named: list[tuple[str, ScanInstance]], path: Path) -> None:
     """Write a PNG with a row per instance: oblique view, from above, from +x.
 
-    Points are shaded by depth, the CAD's box is grey, the canonical axes are red x, green y, blue z.
+    Points are shaded by depth, the CAD's box is grey, the canonical axes x red, y green, z blue.
 
     Args:
         named: (title, instance) pairs.

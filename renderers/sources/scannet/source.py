@@ -81,12 +81,16 @@ class ScanInstance:
 
 @dataclass(frozen=True)
 class _Listed:
-    """What listing found in one scene."""
+    """What listing found in one scene.
 
-    instances: tuple[tuple[int, str], ...]  # (index in the annotation, class name)
-    rejected: tuple[
-        tuple[str, str, dict[str, Any], bool], ...
-    ]  # (object id, reason, details, failed)
+    Attributes:
+        instances: (index in the annotation, class name).
+        rejected: (object id, reason, details, failed).
+        notes: as ``Scene.notes``.
+    """
+
+    instances: tuple[tuple[int, str], ...]
+    rejected: tuple[tuple[str, str, dict[str, Any], bool], ...]
     notes: dict[str, Any]
 
 
@@ -270,8 +274,9 @@ class ScanNetInstances:
     def _nothing(self, listed: dict[str, _Listed]) -> str:
         reasons = Counter(reason for r in listed.values() for _, reason, _, _ in r.rejected)
         first = "; ".join(f"{reason} ({n}×)" for reason, n in reasons.most_common(3))
+        first = first or "no scene is in either split"
         return (
-            f"no PS15 instance found in {self.scannet_dir} with {self.scan2cad_file.name}: {first or 'no scene in either split'}. "
+            f"no PS15 instance found in {self.scannet_dir} with {self.scan2cad_file.name}: {first}. "
             f"Expected {self.scannet_dir}/scans/<scene>/<scene>_vh_clean_2.ply and its labels"
         )
 
