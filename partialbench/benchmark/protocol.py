@@ -79,7 +79,7 @@ class Protocol:
 
     @property
     def digest(self) -> str:
-        """SHA-256 (hex) of every field but the preset's name: what is done, not what it is called."""
+        """SHA-256 (hex) of every field but the preset's name: what is done, not its name."""
         fields = self.as_dict()
         del fields["preset"]
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()

@@ -56,16 +56,17 @@ def as_dict(recipe: Recipe) -> dict[str, Any]:
 
 def deviations(published: Recipe, used: Recipe, protocol: Protocol, train_clouds: int) -> list[str]:
     """What this run changes about the published recipe, one sentence a change."""
+    before, after = as_dict(published), as_dict(used)
     changes = [
-        f"{field.name} {getattr(used, field.name)!r} instead of {getattr(published, field.name)!r}"
-        for field in dataclasses.fields(Recipe)
-        if getattr(used, field.name) != getattr(published, field.name)
+        f"{name} {after[name]!r} instead of {before[name]!r}"
+        for name in before
+        if after[name] != before[name]
     ]
     epochs = protocol.num_epochs(used, train_clouds)
     if epochs != used.epochs:
         changes.append(
-            f"{epochs} epochs of {train_clouds:,} clouds instead of {used.epochs} published epochs; "
-            f"the schedule is scaled to that length"
+            f"{epochs} epochs of {train_clouds:,} clouds instead of {used.epochs} published "
+            f"epochs; the schedule is scaled to that length"
         )
     if used.batch_size > train_clouds:
         changes.append(f"batches of {train_clouds} clouds, all there are, not {used.batch_size}")

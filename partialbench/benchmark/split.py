@@ -1,4 +1,4 @@
-"""Which rows train, which validate, which are tested: functions of names alone, never of row order."""
+"""Which rows train, which validate, which are tested: functions of names, not of row order."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from partialbench.dataset.seeding import generator
 
 
 def split_by_object(
-    object_ids: Sequence[str],
+    object_ids: Sequence[str] | NDArray[np.str_],
     labels: NDArray,
     class_names: Sequence[str],
     validation_fraction: float,

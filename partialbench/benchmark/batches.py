@@ -1,0 +1,144 @@
+"""The stream of training batches: a function of (seed, epoch, batch), so that it can be resumed.
+
+Nothing here remembers what came before: the order of an epoch is keyed by (seed, epoch), the
+augmentation of a batch by (seed, epoch, batch). With several processes each takes its share of the
+same batch, so their number changes neither order nor augmentation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+from typing import Protocol as Interface
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from partialbench.benchmark.prediction import Batch
+from partialbench.benchmark.protocol import Protocol
+from partialbench.dataset.seeding import generator
+from partialbench.geometry.rotations import haar_rotations
+from partialbench.geometry.symmetry import GROUPS, map_rotation
+
+
+class Clouds(Interface):
+    """What the harness asks of a data set; ``dataset.loader.ShardDataset`` is one."""
+
+    labels: NDArray[np.int64]
+    object_ids: NDArray[np.str_]
+    views: NDArray[np.int32]
+    rotations: NDArray[np.float64]
+    visible_fraction: NDArray[np.float32]
+    symmetries: NDArray[np.str_]
+    class_names: tuple[str, ...]
+    dataset_id: str
+    setting: str
+    digest: str
+    num_points: int
+
+    def __len__(self) -> int: ...
+
+    def points(
+        self, indices: NDArray | list[int], rng: np.random.Generator | None = None
+    ) -> NDArray[np.float32]: ...
+
+
+class Place(NamedTuple):
+    """Where in training a batch belongs: epoch and number within it, both from 0."""
+
+    epoch: int
+    batch: int
+
+
+def map_rotations(rotation: NDArray, symmetries: NDArray[np.str_]) -> NDArray[np.float64]:
+    """``geometry.symmetry.map_rotation`` for rows of mixed symmetry.
+
+    Args:
+        rotation: (B,3,3) object → camera.
+        symmetries: (B,) group names.
+    """
+    mapped = np.array(rotation, np.float64)
+    for name in set(symmetries.tolist()):
+        rows = symmetries == name
+        mapped[rows] = map_rotation(mapped[rows], GROUPS[name])
+    return mapped
+
+
+class BatchStream:
+    """Augmented training batches of some rows of a data set.
+
+    Each cloud p of a batch becomes Q·p + jitter with a rotation Q of its own, and its label R
+    becomes Q·R. A last incomplete batch is left out (one cloud alone would break batch norm);
+    an epoch's order is new each time, so no cloud is left out for good.
+
+    Args:
+        rows: (m,) row numbers to train on.
+        batch_size: clouds a step over all processes; all rows at once when there are fewer.
+        rank, world: this process's number and how many there are; a batch is shared out evenly.
+    """
+
+    def __init__(
+        self,
+        dataset: Clouds,
+        rows: NDArray[np.int64],
+        protocol: Protocol,
+        batch_size: int,
+        seed: int,
+        rank: int = 0,
+        world: int = 1,
+    ) -> None:
+        self.dataset, self.rows, self.protocol, self.seed = dataset, rows, protocol, seed
+        self.batch_size = min(batch_size, len(rows))
+        self.rank, self.world = rank, world
+        if self.batch_size < 2:
+            raise ValueError(f"training needs batches of 2 clouds or more, got {self.batch_size}")
+        if self.batch_size % world:
+            raise ValueError(
+                f"a batch of {self.batch_size} clouds cannot be shared evenly by {world} processes"
+            )
+        self.turns = protocol.rotation == "so3" and dataset.setting != "aligned"
+
+    def __len__(self) -> int:
+        """Batches an epoch."""
+        return len(self.rows) // self.batch_size
+
+    def order(self, epoch: int) -> NDArray[np.int64]:
+        """The rows in the order in which ``epoch`` sees them."""
+        return generator(self.seed, "order", epoch).permutation(self.rows)
+
+    def make(self, place: Place, order: NDArray[np.int64]) -> Batch:
+        """This process's share of one batch, on the CPU."""
+        chosen = order[place.batch * self.batch_size : (place.batch + 1) * self.batch_size]
+        rng = generator(self.seed, "augment", place.epoch, place.batch)
+        points = self.dataset.points(chosen, rng)
+        rotation = self.dataset.rotations[chosen]
+        if self.turns:
+            turn = haar_rotations(rng, len(chosen))
+            points = points @ turn.swapaxes(1, 2).astype(np.float32)
+            rotation = turn @ rotation
+        if self.protocol.jitter_sigma > 0:
+            noise = rng.standard_normal(points.shape, np.float32) * self.protocol.jitter_sigma
+            points = points + noise.clip(-self.protocol.jitter_clip, self.protocol.jitter_clip)
+        mine = slice(self.rank, None, self.world)
+        mapped = map_rotations(rotation[mine], self.dataset.symmetries[chosen[mine]])
+        return Batch(
+            torch.from_numpy(np.ascontiguousarray(points[mine], np.float32)),
+            torch.from_numpy(self.dataset.labels[chosen[mine]]),
+            torch.from_numpy(rotation[mine].astype(np.float32)),
+            torch.from_numpy(mapped.astype(np.float32)),
+        )
+
+    def epoch(self, epoch: int, start: int = 0) -> Iterator[tuple[Place, Batch]]:
+        """The batches of an epoch from number ``start`` on; the next is made while one is used."""
+        order = self.order(epoch)
+        places = [Place(epoch, index) for index in range(start, len(self))]
+        with ThreadPoolExecutor(1, thread_name_prefix="batches") as ahead:
+            coming = ahead.submit(self.make, places[0], order) if places else None
+            for index, place in enumerate(places):
+                assert coming is not None
+                batch = coming.result()
+                if index + 1 < len(places):
+                    coming = ahead.submit(self.make, places[index + 1], order)
+                yield place, batch

@@ -1,0 +1,72 @@
+"""On what, and with what, a result was made."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import partialbench
+
+PACKAGES = ("numpy", "scipy", "torch", "lightning", "e3nn")
+
+
+def describe(
+    device: torch.device, processes: int = 1, precision: str = "32-true"
+) -> dict[str, Any]:
+    """JSON data: hardware, versions, and the commit of the source tree (None outside one)."""
+    if device.type == "cuda":
+        accelerator = torch.cuda.get_device_name(device)
+    else:
+        accelerator = device.type
+    return {
+        "device": accelerator,
+        "processes": processes,
+        "precision": precision,
+        "cpu": _cpu_name(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
+        "threads": torch.get_num_threads(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "packages": {"partialbench": partialbench.__version__}
+        | {name: metadata.version(name) for name in PACKAGES},
+        "git_commit": git_commit(),
+    }
+
+
+def git_commit() -> str | None:
+    """The commit this package's source tree is at, with "+changes" where files differ from it."""
+    root = Path(partialbench.__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return None
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        changed = _git(root, "status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return commit + ("+changes" if changed else "")
+
+
+def _git(root: Path, *arguments: str) -> str:
+    done = subprocess.run(
+        ["git", "-C", str(root), *arguments],
+        check=True, capture_output=True, text=True, timeout=20,
+    )  # fmt: skip
+    return done.stdout.strip()
+
+
+def _cpu_name() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

@@ -1,0 +1,161 @@
+"""Scores from predictions. Pure NumPy; every degenerate input has a written meaning.
+
+Accuracies are shares in [0, 1]; angles are degrees where the name says so. A score with nothing to
+average over (a class without test clouds, a model without pose) is None, never 0 and never NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.benchmark.batches import map_rotations
+from partialbench.benchmark.predictions import Predictions
+from partialbench.geometry.bins import nearest_bins, rotation_bins
+from partialbench.geometry.symmetry import GROUPS, pose_error
+
+
+def confusion(labels: NDArray, predicted: NDArray, num_classes: int) -> NDArray[np.int64]:
+    """Counts (K,K): row = true class, column = predicted class."""
+    labels, predicted = _same_length(labels, predicted)
+    for name, values in (("labels", labels), ("predicted", predicted)):
+        if values.size and not 0 <= values.min() <= values.max() < num_classes:
+            raise ValueError(
+                f"{name} must lie in [0, {num_classes}), got {values.min()} to {values.max()}"
+            )
+    flat = np.bincount(labels * num_classes + predicted, minlength=num_classes**2)
+    return flat.reshape(num_classes, num_classes)
+
+
+def accuracy(labels: NDArray, predicted: NDArray) -> float:
+    """Share of clouds whose class is right."""
+    labels, predicted = _same_length(labels, predicted)
+    return float((labels == predicted).mean())
+
+
+def per_class_accuracy(labels: NDArray, predicted: NDArray, num_classes: int) -> list[float | None]:
+    """Share of each true class's clouds that are right; None for a class with no test cloud."""
+    counts = confusion(labels, predicted, num_classes)
+    totals = counts.sum(axis=1)
+    return [float(counts[k, k] / totals[k]) if totals[k] else None for k in range(num_classes)]
+
+
+def class_accuracy(labels: NDArray, predicted: NDArray, num_classes: int) -> float:
+    """Mean of the per-class accuracies over the classes that have test clouds.
+
+    A class that is predicted but has no test cloud does not enter (torchmetrics' macro average
+    counts it as 0); scikit-learn's ``balanced_accuracy_score`` is the same as this.
+    """
+    values = [v for v in per_class_accuracy(labels, predicted, num_classes) if v is not None]
+    return float(np.mean(values))
+
+
+def calibration_error(confidences: NDArray, correct: NDArray, num_bins: int = 15) -> float:
+    """Expected calibration error: the mean gap between confidence and accuracy over equal bins.
+
+    Args:
+        confidences: (M,) probability of the predicted class, in [0, 1].
+        correct: (M,) bool.
+
+    Source: Guo et al. 2017, eq. 3, bins (i/n, (i+1)/n]; an empty bin adds nothing.
+    """
+    confidences, correct = _same_length(confidences, correct)
+    if confidences.min() < 0 or confidences.max() > 1 + 1e-6:
+        raise ValueError(
+            f"confidences must lie in [0, 1], got {confidences.min()} to {confidences.max()}"
+        )
+    which = np.clip(np.ceil(confidences * num_bins).astype(int) - 1, 0, num_bins - 1)
+    gaps = np.bincount(which, weights=confidences - correct.astype(float), minlength=num_bins)
+    return float(np.abs(gaps).sum() / len(confidences))
+
+
+def true_pose_bins(rotations: NDArray, symmetries: NDArray[np.str_]) -> NDArray[np.int64]:
+    """(M,) the bin nearest to each mapped rotation: the paper's pose label."""
+    return nearest_bins(map_rotations(rotations, symmetries))[:, 0]
+
+
+def pose_errors_deg(
+    predicted: NDArray, rotations: NDArray, symmetries: NDArray[np.str_]
+) -> NDArray[np.float64]:
+    """(M,) geodesic error modulo each row's symmetry, degrees, of (M,3,3) predicted rotations."""
+    errors = np.zeros(len(rotations))
+    for name in set(symmetries.tolist()):
+        rows = symmetries == name
+        errors[rows] = pose_error(predicted[rows], rotations[rows], GROUPS[name])
+    return np.degrees(errors)
+
+
+def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
+    """Pose scores of a model that has a pose; None for one that has not.
+
+    Returns:
+        ``top_k``: for k = 1, 2, …, the share of clouds whose true bin (``true_pose_bins``) is
+        among the k best; and of the best bin's rotation, the geodesic error modulo symmetry:
+        ``mean_deg``, ``median_deg``, ``within_15``, ``within_30`` (shares). The bins are 44° wide,
+        so even the right bin errs by 29° on average for an object without symmetry.
+    """
+    if predictions.pose_bins.shape[1] == 0:
+        return None
+    true = true_pose_bins(predictions.rotations, predictions.symmetries)
+    hit = predictions.pose_bins == true[:, None]
+    best = rotation_bins()[predictions.pose_bins[:, 0]]
+    errors = pose_errors_deg(best, predictions.rotations, predictions.symmetries)
+    return {
+        "top_k": [float(v) for v in np.cumsum(hit, axis=1).mean(axis=0)],
+        "mean_deg": float(errors.mean()),
+        "median_deg": float(np.median(errors)),
+        "within_15": float((errors < 15).mean()),
+        "within_30": float((errors < 30).mean()),
+    }
+
+
+def scores(
+    predictions: Predictions, model_classes: Sequence[str], test_classes: Sequence[str]
+) -> dict[str, Any]:
+    """Every score of a record, from its stored predictions.
+
+    Where the test data have other classes than the model (trained on another data set), only
+    clouds of shared classes count, and classes are matched by name. Then ``accuracy`` leaves the
+    model all its outputs, as the PAPNet release does; ``restricted_accuracy`` lets it answer only
+    with a shared class. With equal classes the two are the same.
+    """
+    names = list(model_classes)
+    to_model = np.array([names.index(c) if c in names else -1 for c in test_classes])
+    label = to_model[predictions.labels]
+    if not (label >= 0).any():
+        raise ValueError(
+            f"no test cloud has a class the model knows: {list(test_classes)} against {names}"
+        )
+    p, label = predictions.select(label >= 0), label[label >= 0]
+    predicted = p.predicted.astype(np.int64)
+    shared = np.isin(np.arange(len(names)), to_model)
+    probable = p.log_probabilities.astype(np.float64)
+    confidence = np.exp(np.take_along_axis(probable, predicted[:, None], axis=1)[:, 0])
+    restricted = np.where(shared, probable, -np.inf).argmax(axis=1)
+    # Where nothing is excluded, keep the model's own argmax: rounding may have made ties.
+    restricted = np.where(shared[predicted], predicted, restricted)
+    per_class = per_class_accuracy(label, predicted, len(names))
+    return {
+        "clouds": len(p),
+        "objects": len(np.unique(p.object_ids)),
+        "accuracy": accuracy(label, predicted),
+        "class_accuracy": class_accuracy(label, predicted, len(names)),
+        "restricted_accuracy": accuracy(label, restricted),
+        "restricted_class_accuracy": class_accuracy(label, restricted, len(names)),
+        "per_class": dict(zip(names, per_class, strict=True)),
+        "confusion": confusion(label, predicted, len(names)).tolist(),
+        "calibration_error": calibration_error(confidence.clip(max=1), predicted == label),
+        "pose": pose_scores(p),
+    }
+
+
+def _same_length(a: NDArray, b: NDArray) -> tuple[NDArray, NDArray]:
+    a, b = np.asarray(a), np.asarray(b)
+    if a.ndim != 1 or a.shape != b.shape or len(a) == 0:
+        raise ValueError(
+            f"expected two arrays of one length, at least 1; got {a.shape} and {b.shape}"
+        )
+    return (a.astype(np.int64), b.astype(np.int64)) if a.dtype.kind in "iu" else (a, b)

@@ -1,0 +1,169 @@
+"""A user's own capture, a cloud or a depth image → class, confidence, pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from partialbench.benchmark import checkpoint
+from partialbench.benchmark.models import as_prediction
+from partialbench.dataset.seeding import generator
+from partialbench.errors import InputError
+from partialbench.geometry.bins import rotation_bins
+from partialbench.geometry.camera import Camera
+
+MIN_POINTS = 16
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a model says about one cloud.
+
+    Attributes:
+        top: up to five (class name, probability), best first.
+        points_given, points_used: in the file, and seen by the model.
+        poses: up to five (R_camera_object (3,3), probability) over the 60 bins, best first; empty
+            for a model without pose. A bin is within 44.5° of every rotation it stands for.
+    """
+
+    top: list[tuple[str, float]]
+    points_given: int
+    points_used: int
+    poses: list[tuple[NDArray[np.float64], float]]
+
+    @property
+    def class_name(self) -> str:
+        return self.top[0][0]
+
+    @property
+    def confidence(self) -> float:
+        return self.top[0][1]
+
+
+def predict(
+    checkpoint_file: Path | str,
+    file: Path | str,
+    K: ArrayLike | None = None,
+    depth_scale: float = 1.0,
+    device: str = "cpu",
+) -> Answer:
+    """Classifies one segmented object.
+
+    Args:
+        checkpoint_file: written by ``partialbench eval``; nothing else is needed.
+        file: a cloud (.ply, .xyz, .txt, .csv, .npy (N,3)) or a z-depth image (.png of 16 bits,
+            .tif, .npy (H,W)), of the object alone, camera frame x right, y down, z forward.
+        K: (3,3) intrinsics in pixels, or (fx, fy, cx, cy); needed for a depth image.
+        depth_scale: units of the file's depth values: 0.001 for millimetres.
+
+    Raises:
+        InputError: a file that cannot be read or has too few points, or a depth image without K.
+    """
+    content = checkpoint.load(checkpoint_file)
+    model = checkpoint.build_model(content).to(device)
+    given = read_points(Path(file), K, depth_scale)
+    cloud = draw(given, content["num_points"])
+    names = content["class_names"]
+    with torch.inference_mode():
+        output = model(torch.from_numpy(cloud)[None].to(device))
+    prediction = as_prediction(output, 1, len(names))
+    values, order = prediction.class_logits[0].softmax(0).topk(min(5, len(names)))
+    top = [(names[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
+    poses = []
+    if prediction.pose_logits is not None:
+        values, order = prediction.pose_logits[0].softmax(0).topk(5)
+        poses = [(rotation_bins()[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
+    return Answer(top, len(given), len(cloud), poses)
+
+
+def draw(points: NDArray, count: int) -> NDArray[np.float32]:
+    """``count`` of the points, drawn without replacement by a fixed seed, in random order.
+
+    Where there are fewer, all of them, and repeats after: as the shards are made.
+    """
+    rng = generator(0, "predict", len(points))
+    order = rng.permutation(len(points))
+    if len(points) < count:
+        order = np.concatenate([order, rng.integers(0, len(points), count - len(points))])
+    return np.ascontiguousarray(points[order[:count]], np.float32)
+
+
+def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0) -> NDArray:
+    """The finite points (n,3) of a cloud file or of a depth image (see ``predict``)."""
+    if not path.is_file():
+        raise InputError(f"no file at {path}")
+    kind = path.suffix.lower()
+    try:
+        if kind == ".npy":
+            array = np.load(path, allow_pickle=False)
+        elif kind in (".png", ".tif", ".tiff"):
+            array = _read_image(path)
+        elif kind == ".ply":
+            array = _read_ply(path)
+        elif kind in (".xyz", ".txt", ".csv", ".pts"):
+            array = np.loadtxt(path, delimiter="," if kind == ".csv" else None, ndmin=2)
+        else:
+            raise InputError(
+                f"{path}: {kind or 'a file without suffix'} is not read; give a cloud as .ply, "
+                f".xyz or .npy, or a depth image as .png, .tif or .npy"
+            )
+    except (OSError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} cannot be read: {error}") from error
+    if (array.ndim == 2 and array.shape[1] not in (3, 4, 6)) or kind in (".png", ".tif", ".tiff"):
+        points = _from_depth(path, array, K, depth_scale)
+    elif array.ndim == 2:
+        points = array[:, :3]  # further columns are colours, normals or intensity
+    else:
+        raise InputError(f"{path} has shape {array.shape}; expected (N,3) points or (H,W) depth")
+    points = np.asarray(points, np.float64)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) < MIN_POINTS:
+        raise InputError(
+            f"{path} has {len(points)} finite points, at least {MIN_POINTS} are needed"
+        )
+    return points
+
+
+def _from_depth(path: Path, image: NDArray, K: ArrayLike | None, scale: float) -> NDArray:
+    if image.ndim != 2:
+        raise InputError(f"{path} has shape {image.shape}; a depth image is one channel (H,W)")
+    if K is None:
+        raise InputError(
+            f"{path} is a depth image of {image.shape[1]}×{image.shape[0]} pixels: its intrinsics "
+            f"are needed (fx, fy, cx, cy in pixels)"
+        )
+    if not scale > 0:
+        raise InputError(f"depth_scale must be positive, got {scale!r}")
+    matrix = np.asarray(K, np.float64)
+    if matrix.shape == (4,):
+        fx, fy, cx, cy = matrix
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    depth = image.astype(np.float64) * scale
+    depth[~np.isfinite(depth)] = 0
+    try:
+        return Camera(matrix, image.shape[1], image.shape[0]).unproject_depth(depth)
+    except ValueError as error:
+        raise InputError(f"intrinsics {np.asarray(K).tolist()}: {error}") from error
+
+
+def _read_image(path: Path) -> NDArray:
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+def _read_ply(path: Path) -> NDArray:
+    import trimesh
+
+    loaded = trimesh.load(path, process=False)
+    vertices = getattr(loaded, "vertices", None)
+    if vertices is None or len(vertices) == 0:
+        raise InputError(f"{path} holds no points")
+    return np.asarray(vertices)

@@ -1,0 +1,215 @@
+"""Result records: one JSON file a run, its predictions beside it. Tables are made from these."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.benchmark import predictions as prediction_files
+from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark.predictions import Predictions
+from partialbench.dataset.shards import write_atomically
+from partialbench.errors import InputError
+
+FORMAT = "partialbench-result"
+FORMAT_VERSION = 1
+SUFFIX = ".result.json"
+
+
+@dataclass(frozen=True)
+class DataRecord:
+    """One split of one data folder as a record names it.
+
+    Attributes:
+        id: "pm40-parametric" and the like. setting: "partial", "rotated" or "aligned".
+        digest: of the split's content.
+        clouds, objects: how many of it were used.
+    """
+
+    id: str
+    setting: str
+    digest: str
+    clouds: int
+    objects: int
+    class_names: list[str]
+
+
+def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
+    """How a record names these rows of a split."""
+    return DataRecord(
+        id=dataset.dataset_id,
+        setting=dataset.setting,
+        digest=dataset.digest,
+        clouds=len(rows),
+        objects=len(np.unique(dataset.object_ids[rows])),
+        class_names=list(dataset.class_names),
+    )
+
+
+@dataclass(frozen=True)
+class Result:
+    """One model, trained with one seed, on one test set.
+
+    Attributes:
+        model: registered name or "module:factory".
+        variant: what the user changed about the model or its recipe ("lr=0.01"), "" for nothing.
+        card: snapshot of the model card. recipe: as used. deviations: from the published recipe.
+        protocol, protocol_digest: what the run shares with the others of its column.
+        train_data, test_data: see ``DataRecord``.
+        training: epochs, steps, clouds seen, seconds, clouds per second, last row of the log.
+        cost: parameters and, where measured, multiply-adds, milliseconds, memory.
+        environment: hardware, package versions, git commit (None outside a checkout).
+        predictions_file, predictions_sha256: beside the record.
+        scores: what ``metrics.scores`` makes of the stored predictions.
+    """
+
+    model: str
+    variant: str
+    card: dict[str, Any]
+    recipe: dict[str, Any]
+    deviations: list[str]
+    protocol: dict[str, Any]
+    protocol_digest: str
+    train_data: DataRecord
+    test_data: DataRecord
+    seed: int
+    training: dict[str, Any]
+    cost: dict[str, Any]
+    environment: dict[str, Any]
+    predictions_file: str
+    predictions_sha256: str
+    scores: dict[str, Any]
+
+    @property
+    def row(self) -> str:
+        """The table row it belongs to."""
+        return f"{self.model} [{self.variant}]" if self.variant else self.model
+
+    @property
+    def column(self) -> tuple[str, ...]:
+        """What must agree for two results to be compared: data and protocol, by digest."""
+        train, test = self.train_data, self.test_data
+        return (
+            train.id, train.setting, train.digest, test.id, test.setting, test.digest,
+            self.protocol_digest,
+        )  # fmt: skip
+
+    @property
+    def run_name(self) -> str:
+        """File name stem: the same run writes the same file."""
+        identity = json.dumps([self.row, *self.column, self.seed])
+        short = hashlib.sha256(identity.encode()).hexdigest()[:8]
+        parts = [self.row, self.train_data.id]
+        if self.test_data.id != self.train_data.id:
+            parts.append(f"on-{self.test_data.id}")
+        parts += [self.protocol["preset"], f"seed{self.seed}", short]
+        return "_".join(re.sub(r"[^A-Za-z0-9.=+-]+", "-", part).strip("-") for part in parts)
+
+
+def write(folder: Path, result: Result, predictions: Predictions) -> Path:
+    """Writes the predictions, then the record, each whole or not at all; returns the record's path.
+
+    ``result``'s two prediction fields are filled in here.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    data = prediction_files.to_bytes(predictions)
+    record = asdict(result)
+    record["predictions_file"] = f"{result.run_name}.predictions.npz"
+    record["predictions_sha256"] = hashlib.sha256(data).hexdigest()
+    write_atomically(folder / record["predictions_file"], data)
+    text = {"format": FORMAT, "format_version": FORMAT_VERSION, **record}
+    text["record_sha256"] = record_digest(text)
+    path = folder / f"{result.run_name}{SUFFIX}"
+    write_atomically(path, (json.dumps(text, indent=1, ensure_ascii=False) + "\n").encode())
+    return path
+
+
+def record_digest(record: dict[str, Any]) -> str:
+    """SHA-256 of the record without its own digest: a record edited by hand no longer fits."""
+    rest = {k: v for k, v in record.items() if k != "record_sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def read(path: Path) -> Result:
+    """One record.
+
+    Raises:
+        InputError: not a record, of a later version, incomplete, or edited since it was written.
+    """
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(f"{path} is not a readable JSON record: {error}") from error
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        raise InputError(f"{path} is not a result record of partialbench eval")
+    if record.get("format_version") != FORMAT_VERSION:
+        raise InputError(
+            f"{path} is a record of format {record.get('format_version')}, this version reads "
+            f"{FORMAT_VERSION}"
+        )
+    names = {f.name for f in fields(Result)}
+    present = set(record) - {"format", "format_version", "record_sha256"}
+    if present != names:
+        raise InputError(
+            f"{path}: missing fields {sorted(names - present)}, unknown {sorted(present - names)}"
+        )
+    if record.get("record_sha256") != record_digest(record):
+        raise InputError(
+            f"{path} was changed after it was written: its digest does not fit. Run the "
+            f"evaluation again"
+        )
+    values = {name: record[name] for name in names}
+    try:
+        values["train_data"] = DataRecord(**record["train_data"])
+        values["test_data"] = DataRecord(**record["test_data"])
+    except TypeError as error:
+        raise InputError(f"{path}: a data entry is not what it should be: {error}") from error
+    return Result(**values)
+
+
+def read_predictions(folder: Path, result: Result) -> Predictions:
+    """The stored predictions of a record in ``folder``.
+
+    Raises:
+        InputError: missing, or not the file the record was written with.
+    """
+    path = folder / result.predictions_file
+    if not path.is_file():
+        raise InputError(f"{path} is missing; the record of {result.row} names it")
+    found = hashlib.sha256(path.read_bytes()).hexdigest()
+    if found != result.predictions_sha256:
+        raise InputError(
+            f"{path} is not the file its record was written with: SHA-256 {found}, expected "
+            f"{result.predictions_sha256}"
+        )
+    return prediction_files.load(path)
+
+
+def read_folder(folder: Path) -> list[Result]:
+    """Every record of a folder (not of its subfolders), sorted by file name.
+
+    Raises:
+        InputError: no folder, a bad record, or two records of one run.
+    """
+    if not folder.is_dir():
+        raise InputError(f"no results folder at {folder}")
+    found: dict[tuple[Any, ...], Path] = {}
+    results = []
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        result = read(path)
+        key = (result.row, *result.column, result.seed)
+        if key in found:
+            raise InputError(
+                f"{path} and {found[key]} record the same run ({result.row}, seed {result.seed}); "
+                f"delete one"
+            )
+        found[key] = path
+        results.append(result)
+    return results

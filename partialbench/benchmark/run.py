@@ -1,0 +1,233 @@
+"""``partialbench eval``: train under the protocol (or take a checkpoint), test, write records."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lightning.fabric import Fabric
+from torch import nn
+
+from partialbench.benchmark import checkpoint, environment, evaluate, metrics, models, results
+from partialbench.benchmark import protocol as protocols
+from partialbench.benchmark import recipe as recipes
+from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.results import DataRecord, Result
+from partialbench.benchmark.split import balanced_subset, split_by_object
+from partialbench.benchmark.train import Task, train
+from partialbench.dataset.loader import ShardDataset
+from partialbench.errors import InputError
+from partialbench.registry import ModelCard, Recipe
+
+log = logging.getLogger(__name__)
+
+
+def run_eval(
+    model: str,
+    data: Path | str | None = None,
+    test_data: Path | str | None = None,
+    checkpoint_file: Path | str | None = None,
+    preset: str = "mini",
+    seeds: int = 1,
+    device: str = "auto",
+    results_folder: Path | str = "results",
+    resume: bool = False,
+    *,
+    first_seed: int = 0,
+    precision: str = "32-true",
+    checkpoint_every: int | None = None,
+    recipe: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
+    **protocol_overrides: Any,
+) -> list[Result]:
+    """Trains and tests a model; one record per seed and test set, written as each is done.
+
+    Args:
+        model: registered name, or a user's "module:factory" in the current folder.
+        data: folder of ``partialbench render``: trained on its train split, tested on its test
+            split. With a checkpoint, only the test split is used.
+        test_data: another such folder; each seed is tested on its test split as well.
+        checkpoint_file: test these weights instead of training; ``seeds``, ``preset`` and recipe
+            do not apply then.
+        preset: "smoke", "mini" or "paper"; ``protocol_overrides`` change its fields
+            (``epochs=2``), which makes it another protocol.
+        seeds: how many, counted from ``first_seed``.
+        device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
+        resume: continue interrupted seeds; a finished training is not repeated.
+        checkpoint_every: save every so many steps, besides after every epoch.
+        precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
+        recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
+        options: for the model's factory; makes another row.
+
+    Raises:
+        InputError: anything about the arguments or files.
+    """
+    results_folder = Path(results_folder)
+    fabric = _fabric(device, precision)
+    if checkpoint_file is not None:
+        tests = [folder for folder in (data, test_data) if folder is not None]
+        return _test_checkpoint(Path(checkpoint_file), tests, fabric, results_folder)
+    if data is None:
+        raise InputError("nothing to train on: give --data, a folder made by partialbench render")
+    if seeds < 1:
+        raise InputError(f"seeds must be at least 1, got {seeds}")
+
+    protocol = protocols.protocol(preset, **protocol_overrides)
+    card = models.card_of(model)
+    used = recipes.override(card.recipe, recipe or {})
+    train_set = ShardDataset(data, "train", protocol.num_points)
+    test_sets = [
+        ShardDataset(folder, "test", protocol.num_points)
+        for folder in (data, test_data)
+        if folder is not None
+    ]
+    for test_set in test_sets:
+        _require_shared_class(train_set.class_names, test_set)
+
+    written = []
+    variant = _variant(recipe or {}, options or {})
+    for seed in range(first_seed, first_seed + seeds):
+        task = make_task(model, train_set, protocol, used, seed, dict(options or {}), variant)
+        folder = results_folder / "runs" / run_folder(task)
+        log.info("training %s, seed %d, in %s", task.model, seed, folder)
+        trained = train(task, fabric, folder, resume, checkpoint_every)
+        if fabric.is_global_zero:
+            content = checkpoint.load(folder / "checkpoint.pt")
+            written += [
+                _test(content, trained.model, test_set, fabric, results_folder)
+                for test_set in test_sets
+            ]
+        fabric.barrier()
+    return written
+
+
+def make_task(
+    model: str,
+    train_set: Clouds,
+    protocol: Protocol,
+    recipe: Recipe,
+    seed: int,
+    options: dict[str, Any],
+    variant: str = "",
+) -> Task:
+    """The training a protocol prescribes on a train split."""
+    train_rows, validation_rows = split_by_object(
+        train_set.object_ids, train_set.labels, train_set.class_names,
+        protocol.validation_fraction, protocol.split_seed,
+    )  # fmt: skip
+    train_rows = balanced_subset(train_rows, train_set.labels, protocol.max_train_clouds)
+    validation_rows = balanced_subset(validation_rows, train_set.labels, protocol.max_train_clouds)
+    return Task(
+        model, train_set, train_rows, validation_rows, protocol, recipe, seed, options, variant
+    )
+
+
+def run_folder(task: Task) -> str:
+    """The name of a training's own folder: where its checkpoint and log are."""
+    name = f"{task.model} {task.variant}".strip().replace(":", ".").replace(" ", "_")
+    data = f"{task.dataset.dataset_id}-{task.dataset.digest[:8]}"
+    kind = f"{task.protocol.preset}-{task.protocol.digest[:8]}"
+    return f"{name}_{data}_{kind}_seed{task.seed}"
+
+
+def _test(
+    content: Mapping[str, Any], model: nn.Module, test_set: Clouds, fabric: Fabric, folder: Path
+) -> Result:
+    """Tests a finished checkpoint's model on one test split; the record as its file has it."""
+    protocol = protocols.from_dict(content["protocol"])
+    card = models.card_of(content["model"])
+    recipe, train_data = content["recipe"], DataRecord(**content["train_data"])
+    rows = balanced_subset(np.arange(len(test_set)), test_set.labels, protocol.max_test_clouds)
+    predictions = evaluate.predict_rows(
+        model.to(fabric.device), test_set, rows, len(train_data.class_names), fabric.device
+    )
+    result = Result(
+        model=card.name,
+        variant=content["variant"],
+        card=_card_as_dict(card),
+        recipe=recipe,
+        deviations=recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
+        protocol=protocol.as_dict(),
+        protocol_digest=protocol.digest,
+        train_data=train_data,
+        test_data=results.describe_data(test_set, rows),
+        seed=content["seed"],
+        training=content["summary"],
+        cost={"parameters": models.num_parameters(model)},
+        environment=environment.describe(
+            fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
+        ),
+        predictions_file="",
+        predictions_sha256="",
+        scores=metrics.scores(predictions, train_data.class_names, test_set.class_names),
+    )
+    path = results.write(folder, result, predictions)
+    log.info("wrote %s", path)
+    return results.read(path)
+
+
+def _test_checkpoint(
+    path: Path, tests: list[Path | str], fabric: Fabric, folder: Path
+) -> list[Result]:
+    if not tests:
+        raise InputError("nothing to test on: give --data or --test-data")
+    content = checkpoint.load(path)
+    if "summary" not in content:
+        raise InputError(
+            f"{path} is of an unfinished training (epoch {content['epoch']}); finish it with "
+            f"--resume, the protocol reports the last epoch only"
+        )
+    model = checkpoint.build_model(content)
+    test_sets = [ShardDataset(test, "test", content["num_points"]) for test in tests]
+    for test_set in test_sets:
+        _require_shared_class(tuple(content["class_names"]), test_set)
+    return [_test(content, model, test_set, fabric, folder) for test_set in test_sets]
+
+
+def _card_as_dict(card: ModelCard) -> dict[str, Any]:
+    """Plain JSON data."""
+    return {
+        **dataclasses.asdict(dataclasses.replace(card, recipe=Recipe())),
+        "recipe": recipes.as_dict(card.recipe),
+        "invariances": sorted(card.invariances),
+        "parameters": {str(k): v for k, v in card.parameters.items()},
+    }
+
+
+def _fabric(device: str, precision: str) -> Fabric:
+    """A launched Fabric on ``device``; with torchrun's variables set, one process of many."""
+    kind, _, index = device.partition(":")
+    if kind not in ("auto", "cpu", "cuda", "mps") or (index and not index.isdigit()):
+        raise InputError(f"device must be auto, cpu, cuda or cuda:0 …, got {device!r}")
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise InputError("device cuda was asked for, but torch sees no CUDA device")
+    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    nodes = int(os.environ.get("WORLD_SIZE", "1")) // processes
+    fabric = Fabric(
+        accelerator=kind,
+        devices=[int(index)] if index else processes,
+        num_nodes=nodes,
+        strategy="ddp" if processes * nodes > 1 else "auto",
+        precision=precision,  # type: ignore[arg-type]
+    )
+    fabric.launch()
+    return fabric
+
+
+def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> None:
+    if not set(train_classes) & set(test_set.class_names):
+        raise InputError(
+            f"the test data ({test_set.dataset_id}) share no class with the training data: "
+            f"{', '.join(test_set.class_names)} against {', '.join(train_classes)}"
+        )
+
+
+def _variant(recipe: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+    return " ".join(f"{k}={v}" for k, v in sorted({**recipe, **options}.items()))

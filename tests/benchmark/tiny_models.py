@@ -1,0 +1,71 @@
+"""Small models for tests of the harness, as a user would write theirs."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+from torch.nn.functional import cross_entropy
+
+from partialbench.benchmark.prediction import Prediction
+
+
+class Bare(nn.Module):
+    """Bare logits; batch norm and dropout, the two that break resuming."""
+
+    def __init__(self, num_classes: int, width: int = 16) -> None:
+        super().__init__()
+        self.points = nn.Sequential(
+            nn.Conv1d(3, width, 1), nn.BatchNorm1d(width), nn.ReLU(), nn.Conv1d(width, 64, 1)
+        )
+        self.head = nn.Sequential(nn.ReLU(), nn.Dropout(0.3), nn.Linear(64, num_classes))
+
+    def forward(self, clouds: torch.Tensor) -> torch.Tensor:
+        centred = clouds - clouds.mean(dim=1, keepdim=True)
+        return self.head(self.points(centred.transpose(1, 2)).amax(dim=2))
+
+
+class Posed(nn.Module):
+    """Class and pose, with a loss of its own."""
+
+    def __init__(self, num_classes: int) -> None:
+        super().__init__()
+        self.body = Bare(num_classes + 60)
+        self.num_classes = num_classes
+
+    def forward(self, clouds: torch.Tensor) -> Prediction:
+        logits = self.body(clouds)
+        return Prediction(logits[:, : self.num_classes], logits[:, self.num_classes :])
+
+    def training_loss(self, batch):
+        return cross_entropy(self(batch.points).class_logits, batch.label)
+
+
+class Broken(Bare):
+    """Turns NaN at the third training step."""
+
+    steps = 0
+
+    def forward(self, clouds: torch.Tensor) -> torch.Tensor:
+        self.steps += self.training
+        return super().forward(clouds) * (float("nan") if self.steps > 2 else 1.0)
+
+
+class NoNorm(nn.Module):
+    """Without batch statistics: what several processes must agree on exactly."""
+
+    def __init__(self, num_classes: int) -> None:
+        super().__init__()
+        self.points = nn.Sequential(nn.Linear(3, 32), nn.ReLU(), nn.Linear(32, 64))
+        self.head = nn.Linear(64, num_classes)
+
+    def forward(self, clouds: torch.Tensor) -> torch.Tensor:
+        centred = clouds - clouds.mean(dim=1, keepdim=True)
+        return self.head(self.points(centred).amax(dim=1))
+
+
+def wrong_shape(num_classes: int) -> nn.Module:
+    return Bare(num_classes + 1)
+
+
+def not_a_model(num_classes: int) -> int:
+    return num_classes
