@@ -1,4 +1,4 @@
-"""The model cards of the paper's table 1, in its order. Literal data: importing this loads no torch.
+"""The model cards of the paper's table 1, in its order. Literal data; importing it loads no torch.
 
 Recipes are as published; parameter counts include affine batch norm. A publication's label
 smoothing that spreads ε over the *other* K − 1 classes is written in torch's sense, ε·K/(K − 1)
@@ -187,10 +187,17 @@ CARDS: tuple[ModelCard, ...] = (
         reference_licence="",
         representation=POINTS,
         invariances=frozenset({"permutation", "rotation"}),
-        parameters={},
+        parameters={40: 1_478_888, 15: 1_472_463},
         recipe=_POINTNET2_RECIPE,
         paper_scores={"pm40": 80.8, "ps15": 84.1, "pm40>ps15": 41.7, "ps15>pm40": 48.8},
-        choices=(),
+        choices=(
+            "no official code was found: ψ modulo 2π, which tells a shape from its mirror image",
+            "directions closer than 1e-3 rad count as one, so that rounding decides no angle",
+            "32 nearest neighbours, one shared layer 4-64 and the maximum make a point's feature",
+            "PointNet++ SSG groups by coordinates but no layer sees them; its recipe",
+            "sampling starts at the point farthest from the centroid and balls keep their nearest "
+            "points, so that neither pose nor order matters",
+        ),
     ),
     # spherical-cnn
     # steerable-cnn

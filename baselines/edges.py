@@ -1,0 +1,99 @@
+"""Layers on edges (point j seen from centre i) computed per point, not per edge.
+
+A linear layer on cat(u_j − v_i, w) splits into a value of the point and one of the centre,
+y_ij = a_j + c_i, so its product is taken once a point instead of once an edge; and because batch
+norm is a scale and a shift a channel, the maximum over neighbours needs a_j alone. Batch norm's
+statistics remain those over all edges, exactly:
+
+    Σ_ij (a_j + c_i)² = Σ_j deg_j·a_j² + 2·Σ_i c_i·S_i + n·Σ_i c_i²,   S_i = Σ_{j ∈ N(i)} a_j
+
+with deg_j the number of neighbourhoods that hold j.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from baselines.points import flat_index
+from baselines.shared_mlp import chunks
+
+
+class _EdgeMoments(torch.autograd.Function):
+    """Mean and variance (C,) of a[index] + c over all edges; a (P,C), c (Q,C), index (Q,n)."""
+
+    @staticmethod
+    def forward(ctx: Any, a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
+        n, edges = index.shape[1], index.numel()
+        # Centred first: the three sums then have little to cancel.
+        a_mean, c_mean = a.mean(dim=0), c.mean(dim=0)
+        a, c = a - a_mean, c - c_mean
+        degree = torch.bincount(index.flatten(), minlength=len(a)).to(a.dtype)[:, None]
+        neighbours = F.embedding_bag(index, a, mode="sum")
+        mean = (degree * a).sum(dim=0) / edges
+        square = (degree * a * a).sum(dim=0) + (c * (2 * neighbours + n * c)).sum(dim=0)
+        ctx.save_for_backward(a, c, index, degree, neighbours, mean)
+        return mean + a_mean + c_mean, (square / edges - mean * mean).clamp_min(0)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_mean: Tensor, d_var: Tensor) -> tuple[Tensor, Tensor, None]:
+        a, c, index, degree, neighbours, mean = ctx.saved_tensors
+        n, edges = index.shape[1], index.numel()
+        # The transposed neighbourhoods: edges sorted by point, so that each point owns a run.
+        order = torch.argsort(index.flatten(), stable=True)
+        start = degree.flatten().long().cumsum(0) - degree.flatten().long()
+        centres = F.embedding_bag(order // n, c, start, mode="sum")
+        d_mean, d_var = d_mean / edges, 2 * d_var / edges
+        d_a = degree * d_mean + d_var * (degree * (a - mean) + centres)
+        d_c = n * d_mean + d_var * (neighbours + n * (c - mean))
+        return d_a, d_c, None
+
+
+class _NeighbourMax(torch.autograd.Function):
+    """max over n of a[index]; a (P,C), index (Q,n) → (Q,C). Equal maxima share the gradient."""
+
+    @staticmethod
+    def forward(ctx: Any, a: Tensor, index: Tensor) -> Tensor:
+        top = a.new_zeros(len(index), a.shape[1])
+        for part in chunks(len(index), index.shape[1] * a.shape[1]):
+            edges = a.index_select(0, index[part].flatten())
+            torch.amax(edges.view(-1, index.shape[1], a.shape[1]), dim=1, out=top[part])
+        ctx.save_for_backward(a, index, top)
+        return top
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_top: Tensor) -> tuple[Tensor, None]:
+        a, index, top = ctx.saved_tensors
+        d_a = torch.zeros_like(a)
+        for part in chunks(len(index), index.shape[1] * a.shape[1]):
+            flat = index[part].flatten()
+            edges = a.index_select(0, flat).view(-1, index.shape[1], a.shape[1])
+            hit = (edges == top[part, None]).to(a.dtype)
+            share = d_top[part] / hit.sum(dim=1).clamp_min(1)
+            d_a.index_add_(0, flat, hit.mul_(share[:, None]).flatten(0, 1))
+        return d_a, None
+
+
+def edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and variance (C,) of a_j + c_i over all edges of a batch, the variance over the count.
+
+    Args:
+        a: (B,N,C) values of points.
+        c: (B,S,C) values of centres.
+        index: (B,S,n) neighbours of each centre.
+    """
+    with torch.autocast(a.device.type, enabled=False):
+        flat = flat_index(index, a.shape[1]).flatten(0, 1)
+        return _EdgeMoments.apply(a.float().flatten(0, 1), c.float().flatten(0, 1), flat)
+
+
+def neighbour_max(a: Tensor, index: Tensor) -> Tensor:
+    """(B,N,C) values, (B,S,n) neighbours → (B,S,C): the largest value among the neighbours."""
+    flat = flat_index(index, a.shape[1]).flatten(0, 1)
+    return _NeighbourMax.apply(a.flatten(0, 1), flat).view(*index.shape[:2], -1)

@@ -1,0 +1,197 @@
+"""PointNet++: PointNet on balls around sampled centres, then on the centres; SSG and MSG.
+
+Source: Qi et al., PointNet++, NeurIPS 2017; charlesq34/pointnet2@4292663 (TensorFlow) for widths,
+dropout and sampling from index 0; yanx27/Pointnet_Pointnet2_pytorch@eb64fe0 for state dicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from baselines.edges import edge_moments
+from baselines.points import ball_query, farthest_points, gather, normalise
+from baselines.published import tensors
+from baselines.shared_mlp import Normed, SharedMLP, head
+from partialbench.benchmark.prediction import Prediction
+
+
+@dataclass(frozen=True)
+class Scale:
+    """One grouping: the ball's radius, how many points it keeps, the shared MLP's widths."""
+
+    radius: float
+    count: int
+    widths: tuple[int, ...]
+
+
+SSG = (
+    (Scale(0.2, 32, (64, 64, 128)),),
+    (Scale(0.4, 64, (128, 128, 256)),),
+)
+MSG = (
+    (
+        Scale(0.1, 16, (32, 32, 64)),
+        Scale(0.2, 32, (64, 64, 128)),
+        Scale(0.4, 128, (64, 96, 128)),
+    ),
+    (
+        Scale(0.2, 32, (64, 64, 128)),
+        Scale(0.4, 64, (128, 128, 256)),
+        Scale(0.8, 128, (128, 128, 256)),
+    ),
+)
+CENTRES = (512, 128)
+"""Points sampled at the two levels."""
+
+
+class GroupLinear(Normed):
+    """The first layer of a group's MLP: BN(W·[x_j − c_i, f_j] + b) for every point j of ball i.
+
+    It is taken once a point and once a centre, then gathered (see ``edges``).
+
+    Args:
+        features: channels of f.
+        use_xyz: whether the relative coordinates are part of the input (first, then f).
+    """
+
+    def __init__(self, features: int, outputs: int, use_xyz: bool = True) -> None:
+        super().__init__(features + 3 * use_xyz, outputs)
+        self.use_xyz = use_xyz
+
+    def forward(
+        self, xyz: Tensor, features: Tensor | None, centres: Tensor, index: Tensor
+    ) -> Tensor:
+        """(B,N,3), (B,N,C), (B,S,3), neighbours (B,S,n) → (B,S,n,C_out)."""
+        weight, bias = self.linear.weight, self.linear.bias
+        if self.use_xyz:
+            x = xyz if features is None else torch.cat([xyz.to(features.dtype), features], dim=-1)
+            c = -F.linear(centres, weight[:, :3])
+        else:
+            assert features is not None
+            x, c = features, features.new_zeros(*centres.shape[:2], len(weight))
+        a = F.linear(x, weight, bias)
+        moments = edge_moments(a, c, index) if self.norm.training else None
+        scale, shift = self.scale_and_shift(moments, index.numel())
+        return gather(a * scale, index).add_((c * scale + shift)[:, :, None])
+
+
+class SetAbstraction(nn.Module):
+    """Features of centres from the balls around them, one MLP and maximum a scale, joined.
+
+    Args:
+        features: channels a point brings besides its coordinates.
+        scales: the groupings.
+        use_xyz, nearest: see ``GroupLinear`` and ``points.ball_query``.
+    """
+
+    def __init__(
+        self, features: int, scales: Sequence[Scale], use_xyz: bool = True, nearest: bool = False
+    ) -> None:
+        super().__init__()
+        self.scales, self.nearest = tuple(scales), nearest
+        self.first = nn.ModuleList(GroupLinear(features, s.widths[0], use_xyz) for s in scales)
+        self.rest = nn.ModuleList(SharedMLP(*s.widths) for s in scales)
+        self.channels = sum(s.widths[-1] for s in scales)
+
+    def forward(self, xyz: Tensor, features: Tensor | None, centres: Tensor) -> Tensor:
+        """(B,N,3), (B,N,C) or None, (B,S,3) → (B,S,channels)."""
+        pooled = []
+        for scale, first, rest in zip(self.scales, self.first, self.rest, strict=True):
+            assert isinstance(rest, SharedMLP)
+            index = ball_query(centres, xyz, scale.radius, scale.count, self.nearest)
+            pooled.append(rest.max(F.relu_(first(xyz, features, centres, index))))
+        return torch.cat(pooled, dim=-1)
+
+
+class PointNet2(nn.Module):
+    """PointNet++'s classifier: two set abstractions, a PointNet over the last centres, 512-256-K.
+
+    Ball queries keep the first points in index order and coordinates are relative but not divided
+    by the radius; the last PointNet sees absolute coordinates. Sampling starts at index 0.
+
+    Args:
+        levels: the two levels' groupings, ``SSG`` or ``MSG``.
+        dropout: after each hidden layer of the head.
+        features: channels the points bring besides coordinates.
+        use_xyz: whether any layer sees coordinates; without, the classifier is blind to all but
+            ``features`` and which points are near which.
+        nearest: see ``points.ball_query``.
+    """
+
+    def __init__(
+        self,
+        num_classes: int,
+        levels: tuple[tuple[Scale, ...], tuple[Scale, ...]] = SSG,
+        dropout: tuple[float, float] = (0.5, 0.5),
+        features: int = 0,
+        use_xyz: bool = True,
+        nearest: bool = False,
+    ) -> None:
+        super().__init__()
+        self.use_xyz = use_xyz
+        self.sa1 = SetAbstraction(features, levels[0], use_xyz, nearest)
+        self.sa2 = SetAbstraction(self.sa1.channels, levels[1], use_xyz, nearest)
+        self.sa3 = SharedMLP(self.sa2.channels + 3 * use_xyz, 256, 512, 1024)
+        self.head = head(1024, 512, 256, num_classes, dropout=dropout)
+
+    def classify(
+        self, xyz: Tensor, features: Tensor | None = None, start: Tensor | None = None
+    ) -> Tensor:
+        """Logits (B,K) of clouds (B,N,3) already normalised, with features (B,N,C).
+
+        Args:
+            start: (B,) where farthest point sampling starts; index 0 by default.
+        """
+        # Sampling the samples again would pick their first ones: one call serves both levels.
+        centres1 = gather(xyz, farthest_points(xyz, CENTRES[0], start))
+        centres2 = centres1[:, : CENTRES[1]]
+        x = self.sa1(xyz, features, centres1)
+        x = self.sa2(centres1, x, centres2)
+        if self.use_xyz:
+            x = torch.cat([centres2.to(x.dtype), x], dim=-1)
+        return self.head(self.sa3.max(x))
+
+    def forward(self, points: Tensor) -> Prediction:
+        """(B,N,3) clouds in the camera frame → logits (B,K)."""
+        return Prediction(self.classify(normalise(points)))
+
+
+def pointnet2_ssg(num_classes: int) -> PointNet2:
+    """Single-scale grouping, dropout 0.5 and 0.5 (charlesq34's; yanx27's is 0.4 and 0.4)."""
+    return PointNet2(num_classes, SSG, (0.5, 0.5))
+
+
+def pointnet2_msg(num_classes: int) -> PointNet2:
+    """Multi-scale grouping, dropout 0.6 and 0.6 (charlesq34's; yanx27's is 0.4 and 0.5)."""
+    return PointNet2(num_classes, MSG, (0.6, 0.6))
+
+
+def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+    """yanx27's PyTorch state dict (SSG or MSG, without normals) → ours.
+
+    Its multi-scale layers take [features, coordinates], ours the other order as its single-scale
+    ones do.
+    """
+    state = {name.removeprefix("module."): torch.as_tensor(v) for name, v in state.items()}
+    prefixes = {"fc1": "head.0", "bn1": "head.1", "fc2": "head.4", "bn2": "head.5", "fc3": "head.8"}
+    for i in range(3):
+        prefixes |= {f"sa3.mlp_convs.{i}": f"sa3.{i}.linear", f"sa3.mlp_bns.{i}": f"sa3.{i}.norm"}
+    for level in ("sa1", "sa2"):
+        for scale in range(3):
+            block = f"{level}.conv_blocks.{scale}.0.weight"
+            if block in state:
+                state[block] = state[block].roll(3, dims=1)
+            for i in range(3):
+                ours = f"{level}.first.{scale}" if i == 0 else f"{level}.rest.{scale}.{i - 1}"
+                names = [(f"conv_blocks.{scale}.{i}", f"bn_blocks.{scale}.{i}")]
+                names += [(f"mlp_convs.{i}", f"mlp_bns.{i}")] if scale == 0 else []
+                for conv, norm in names:
+                    prefixes[f"{level}.{conv}"] = f"{ours}.linear"
+                    prefixes[f"{level}.{norm}"] = f"{ours}.norm"
+    return tensors(state, model, prefixes)

@@ -1,0 +1,175 @@
+"""Operations on batches of point clouds in plain torch: the same on CPU and GPU.
+
+Shapes are written with B clouds, N points, M or S centres, n or k neighbours, C channels. Geometry
+is computed in float32 whatever the autocast state, and carries no gradient: neighbours are chosen,
+not differentiated. Nothing here makes a (B,N,N,C) tensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+import torch
+from torch import Tensor
+
+from partialbench.errors import InputError
+
+RADIUS = 0.9999
+"""Largest norm after ``normalise``: just inside the unit ball, so that no coordinate reaches 1 and
+with it a cell beyond the end of a grid over [−1, 1]."""
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _geometry(function: Callable[P, T]) -> Callable[P, T]:
+    """No gradient and no autocast: a bfloat16 distance would choose other neighbours."""
+
+    @wraps(function)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> T:
+        device = next(a for a in args if isinstance(a, Tensor)).device.type
+        with torch.no_grad(), torch.autocast(device, enabled=False):
+            return function(*args, **kwargs)
+
+    return wrapped
+
+
+def normalise(points: Tensor) -> Tensor:
+    """Subtracts each cloud's mean point and scales its largest norm to ``RADIUS``.
+
+    Args:
+        points: (B,N,3) floating, any frame and unit.
+
+    Returns:
+        (B,N,3) float32. A cloud whose points all coincide becomes zeros.
+
+    Raises:
+        InputError: for another shape or dtype.
+    """
+    if points.ndim != 3 or points.shape[-1] != 3 or not points.is_floating_point():
+        raise InputError(
+            f"clouds must be a floating (B,N,3) tensor, got {tuple(points.shape)} {points.dtype}"
+        )
+    if not points.shape[1]:
+        raise InputError(f"clouds must have points, got an empty tensor {tuple(points.shape)}")
+    # In double precision the mean does not depend on the order of the points, so neither does
+    # anything computed from the centred cloud.
+    centred = (points.double() - points.double().mean(dim=1, keepdim=True)).float()
+    largest = torch.linalg.vector_norm(centred, dim=-1).amax(dim=1)
+    return centred * (RADIUS / largest.clamp_min(1e-12))[:, None, None]
+
+
+@_geometry
+def distances(a: Tensor, b: Tensor) -> Tensor:
+    """Euclidean distances (B,M,N) float32 between (B,M,C) and (B,N,C).
+
+    Coordinates (C ≤ 4) are subtracted, which keeps all digits between near points; features go
+    through a matrix product, |a|² + |b|² − 2a·b, which is faster and good to about 1e-3·|a|.
+    """
+    mode = "donot_use_mm_for_euclid_dist" if a.shape[-1] <= 4 else "use_mm_for_euclid_dist"
+    return torch.cdist(a.float(), b.float(), compute_mode=mode)
+
+
+@_geometry
+def knn(points: Tensor, k: int) -> Tensor:
+    """Indices (B,N,k) of each point's k nearest, itself included, in no particular order.
+
+    Args:
+        points: (B,N,C) coordinates or features.
+
+    Raises:
+        InputError: if a cloud has fewer than k points.
+    """
+    if points.shape[1] < k:
+        raise InputError(
+            f"{k} neighbours need clouds of at least {k} points, got {points.shape[1]}"
+        )
+    if points.shape[-1] <= 4:
+        nearness = distances(points, points).neg_()
+    else:
+        # |a|² is the same for a whole row: only |b|² − 2a·b orders the neighbours.
+        points = points.float()
+        norms = points.square().sum(dim=-1)
+        nearness = torch.baddbmm(-norms[:, None], points, points.mT, alpha=2)
+    return nearness.topk(k, dim=-1, sorted=False).indices
+
+
+@_geometry
+def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> Tensor:
+    """Farthest point sampling: indices (B,count) of points each farthest from those before it.
+
+    The sampling of the first m picks, started at the first, picks them in the same order: a
+    hierarchy of samplings needs one call and prefixes.
+
+    Args:
+        points: (B,N,3).
+        count: how many; beyond the number of distinct points the start is repeated or index 0.
+        start: (B,) first index of each cloud; by default 0, as the published implementations have
+            it in evaluation.
+    """
+    batch, number, _ = points.shape
+    planes = points.float().mT.contiguous()
+    nearest = planes.new_full((batch, number), torch.inf)
+    chosen = torch.zeros(batch, count, dtype=torch.long, device=points.device)
+    last = chosen[:, 0] if start is None else start
+    chosen[:, 0] = last
+    for step in range(1, count):
+        pick = planes.gather(2, last[:, None, None].expand(-1, 3, 1))
+        torch.minimum(nearest, (planes - pick).square_().sum(dim=1), out=nearest)
+        last = nearest.argmax(dim=1)
+        chosen[:, step] = last
+    return chosen
+
+
+def farthest_from_centre(points: Tensor) -> Tensor:
+    """Index (B,) of the point with the largest norm: a start that turns with a centred cloud."""
+    return torch.linalg.vector_norm(points.detach(), dim=-1).argmax(dim=1)
+
+
+@_geometry
+def ball_query(
+    centres: Tensor, points: Tensor, radius: float, count: int, nearest: bool = False
+) -> Tensor:
+    """Indices (B,S,count) of points within ``radius`` of each centre, padded with its first hit.
+
+    Args:
+        centres: (B,S,3), each with at least one point in reach (they are points of the cloud).
+        points: (B,N,3).
+        nearest: keep the nearest points instead of the first in index order. The published
+            networks keep the first; the nearest do not depend on the order of the points.
+
+    Raises:
+        InputError: if a ball is empty, which NaN coordinates also cause.
+    """
+    distance = distances(centres, points)
+    if nearest:
+        near, index = distance.topk(min(count, points.shape[1]), dim=-1, largest=False)
+        if not bool((near[..., 0] <= radius).all()):
+            raise InputError(f"a centre has no point within {radius}: it is not of the cloud")
+        index = torch.where(near <= radius, index, index[..., :1])
+        missing = count - index.shape[-1]
+        return torch.cat([index, index[..., :1].expand(-1, -1, missing)], dim=-1)
+    inside = (distance <= radius).flatten(0, 1)
+    hits = inside.nonzero()[:, 1]
+    found = inside.sum(dim=1)
+    if not bool(found.all()):
+        raise InputError(f"a centre has no point within {radius}: it is not of the cloud")
+    # Row i's hits lie at first[i] … first[i] + found[i] − 1; past its end, read the first again.
+    first = found.cumsum(0) - found
+    rank = torch.arange(count, device=points.device)
+    take = first[:, None] + torch.where(rank < found[:, None], rank, 0)
+    return hits[take].view(*distance.shape[:2], count)
+
+
+def flat_index(index: Tensor, number: int) -> Tensor:
+    """Indices (B,…) into clouds of ``number`` points → into all clouds' points in one row."""
+    offset = torch.arange(index.shape[0], device=index.device) * number
+    return index + offset.view(-1, *[1] * (index.ndim - 1))
+
+
+def gather(values: Tensor, index: Tensor) -> Tensor:
+    """``values`` (B,N,C) at ``index`` (B,…) → (B,…,C). Differentiable in ``values``."""
+    flat = flat_index(index, values.shape[1])
+    return values.flatten(0, 1).index_select(0, flat.flatten()).view(*index.shape, -1)

@@ -1,0 +1,55 @@
+"""From a published state dict to one of ours, by a table of prefixes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from partialbench.errors import InputError
+
+
+def tensors(
+    state: Mapping[str, Any],
+    model: nn.Module,
+    prefixes: Mapping[str, str],
+    ignored: tuple[str, ...] = (),
+) -> dict[str, Tensor]:
+    """Renames a published state and brings every tensor into our shape.
+
+    Args:
+        state: published names → arrays (numpy or torch). A leading ``module.``, left by
+            ``nn.DataParallel``, is dropped.
+        model: ours, whose ``state_dict`` says the names and shapes wanted. A 1×1 convolution's
+            trailing ones are dropped where ours is a linear layer.
+        prefixes: published prefix → ours, for whole layers (``conv1.0`` → ``convs.0.linear``).
+        ignored: prefixes of published entries that have no counterpart.
+
+    Raises:
+        InputError: naming the entry that is unknown, missing or of another shape.
+    """
+    wanted = model.state_dict()
+    converted: dict[str, Tensor] = {}
+    for name, value in state.items():
+        name = name.removeprefix("module.")
+        if name.startswith(ignored or ("\0",)):
+            continue
+        layer, _, leaf = name.rpartition(".")
+        ours = f"{prefixes.get(layer, layer)}.{leaf}"
+        if ours not in wanted:
+            raise InputError(f"the published state has {name!r}, which this model has no place for")
+        tensor = torch.as_tensor(value)
+        shape = wanted[ours].shape
+        if tensor.numel() != shape.numel() or tensor.shape[: len(shape)] != shape:
+            raise InputError(
+                f"the published {name!r} is {tuple(tensor.shape)}, {ours!r} is {tuple(shape)}; "
+                f"was it trained for another number of classes?"
+            )
+        converted[ours] = tensor.reshape(shape)
+    missing = sorted(n for n in wanted if n not in converted and "num_batches" not in n)
+    if missing:
+        raise InputError(f"the published state lacks the weights of {', '.join(missing)}")
+    counters = {n: t for n, t in wanted.items() if n not in converted}
+    return converted | counters

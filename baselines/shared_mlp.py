@@ -1,0 +1,225 @@
+"""A linear layer shared by all points, with batch norm, computed without batch norm's passes.
+
+The published networks normalise y = W·x + b over every point (or edge) of the batch. The mean and
+variance of y follow from those of x:
+
+    mean(y) = W·mean(x) + b,      var(y) = diag(W·Cov(x)·Wᵀ)
+
+so the norm's scale and shift are known before y is, and fold into the weights: one matrix product
+gives the normalised value, and a maximum over points can be taken without keeping y. The results
+are those of ``nn.Linear`` followed by ``nn.BatchNorm1d``, gradients and running statistics
+included, up to rounding.
+
+Layout: channels last, (…,C).
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+CHUNK = 1 << 20
+"""Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache."""
+
+
+def chunks(rows: int, values_per_row: int) -> list[slice]:
+    step = max(1, CHUNK // values_per_row)
+    return [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
+
+
+class _Moments(torch.autograd.Function):
+    """Mean (C,) and covariance (C,C) over the rows of (M,C), divided by M."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> tuple[Tensor, Tensor]:
+        rows, channels = x.shape
+        mean = x.mean(dim=0)
+        covariance = x.new_zeros(channels, channels)
+        for part in chunks(rows, channels):
+            centred = x[part] - mean
+            covariance.addmm_(centred.T, centred)
+        ctx.save_for_backward(x, mean)
+        return mean, covariance / rows
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_mean: Tensor, d_covariance: Tensor) -> Tensor:
+        x, mean = ctx.saved_tensors
+        # d/dx of Σ(x−m)(x−m)ᵀ/M; the term through the mean vanishes, as Σ(x−m) does.
+        weight = (d_covariance + d_covariance.T) / len(x)
+        return torch.addmm(d_mean / len(x) - mean @ weight, x, weight)
+
+
+class _LinearMax(torch.autograd.Function):
+    """max over n of x (G,n,C_in) · weightᵀ + bias → (G,C_out), never kept before the maximum.
+
+    One point alone decides each output, so the backward pass visits G·C_out points instead of
+    multiplying by a matrix of G·n rows that is zero but for those.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        groups, size, _ = x.shape
+        needs_index = any(ctx.needs_input_grad)
+        top = x.new_zeros(groups, len(weight))
+        index = torch.zeros(groups, len(weight), dtype=torch.int32, device=x.device)
+        rank = torch.arange(size, dtype=torch.int32, device=x.device)[:, None]
+        for part in chunks(groups, size * len(weight)):
+            y = F.linear(x[part], weight, bias)
+            torch.amax(y, dim=1, out=top[part])
+            if needs_index:
+                # Comparing with the maximum is several times faster than a maximum with index.
+                hit = torch.where(y == top[part, None], rank, size - 1)
+                torch.amin(hit, dim=1, out=index[part])
+        ctx.save_for_backward(x, weight, index)
+        return top
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_top: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x, weight, index = ctx.saved_tensors
+        groups, size, channels = x.shape
+        rows = x.flatten(0, 1)
+        d_rows, d_weight = torch.zeros_like(rows), torch.zeros_like(weight)
+        first = torch.arange(0, groups * size, size, device=x.device)[:, None]
+        for part in chunks(groups, weight.numel()):
+            flat = (index[part] + first[part]).flatten()
+            share = d_top[part, :, None]
+            chosen = rows.index_select(0, flat).view(-1, *weight.shape)
+            d_weight += chosen.mul_(share).sum(dim=0)
+            d_rows.index_add_(0, flat, (share * weight).view(-1, channels))
+        return d_rows.view_as(x), d_weight, d_top.sum(dim=0)
+
+
+def _autocast(*tensors: Tensor) -> tuple[Tensor, ...]:
+    """The tensors in the dtype that autocast would give a matrix product here."""
+    device = tensors[0].device.type
+    if not torch.is_autocast_enabled(device):
+        return tensors
+    return tuple(t.to(torch.get_autocast_dtype(device)) for t in tensors)
+
+
+def linear_max(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """(…,n,C_in) → (…,C_out): the maximum over n of x·weightᵀ + bias."""
+    x, weight, bias = _autocast(x, weight, bias)
+    groups = x.reshape(-1, *x.shape[-2:])
+    return _LinearMax.apply(groups, weight, bias).view(*x.shape[:-2], -1)
+
+
+class Normed(nn.Module):
+    """A linear layer and the batch norm of its values, for subclasses to compute in their own way.
+
+    Args:
+        inputs, outputs: channels.
+        bias: whether the linear layer has one, as in the publication; batch norm cancels it.
+    """
+
+    def __init__(self, inputs: int, outputs: int, bias: bool = True) -> None:
+        super().__init__()
+        self.linear = nn.Linear(inputs, outputs, bias=bias)
+        self.norm = nn.BatchNorm1d(outputs)
+
+    def scale_and_shift(
+        self, moments: tuple[Tensor, Tensor] | None, count: int
+    ) -> tuple[Tensor, Tensor]:
+        """s and t (C_out,) such that batch norm maps a value y of the linear layer to s·y + t.
+
+        Args:
+            moments: mean and variance (C_out,) of y over the batch, the variance divided by the
+                count; they move the running statistics. None, in evaluation, uses those instead.
+            count: how many values the moments are of.
+        """
+        norm = self.norm
+        assert norm.running_mean is not None
+        assert norm.running_var is not None
+        if moments is None:
+            mean, var = norm.running_mean, norm.running_var
+        else:
+            mean, var = moments
+            self._track(mean, var, count)
+        scale = norm.weight * torch.rsqrt(var + norm.eps)
+        return scale, norm.bias - scale * mean
+
+    @torch.no_grad()
+    def _track(self, mean: Tensor, var: Tensor, count: int) -> None:
+        norm = self.norm
+        if count < 2:
+            raise ValueError(
+                f"batch norm needs more than one value a channel in training, got {count}"
+            )
+        assert norm.running_mean is not None
+        assert norm.running_var is not None
+        assert norm.num_batches_tracked is not None
+        assert norm.momentum is not None
+        norm.num_batches_tracked += 1
+        norm.running_mean.lerp_(mean, norm.momentum)
+        norm.running_var.lerp_(var * (count / (count - 1)), norm.momentum)
+
+
+class NormLinear(Normed):
+    """``nn.Linear`` and ``nn.BatchNorm1d`` over all leading dimensions, as one matrix product."""
+
+    def folded(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Weight (C_out,C_in) and bias (C_out,) such that x·weightᵀ + bias is the layer's value."""
+        weight, bias = self.linear.weight, self.linear.bias
+        with torch.autocast(x.device.type, enabled=False):
+            moments, count = None, x.numel() // x.shape[-1]
+            if self.norm.training:
+                x_mean, covariance = _Moments.apply(x.float().reshape(count, -1))
+                var = ((weight @ covariance) * weight).sum(dim=1).clamp_min(0)
+                moments = F.linear(x_mean, weight, bias), var
+            scale, shift = self.scale_and_shift(moments, count)
+            if bias is not None:
+                shift = torch.addcmul(shift, scale, bias)
+            return scale[:, None] * weight, shift
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(…,C_in) → (…,C_out), normalised, without activation."""
+        return F.linear(x, *self.folded(x))
+
+    def max(self, x: Tensor) -> Tensor:
+        """(…,n,C_in) → (…,C_out): the largest normalised value over n.
+
+        A rising activation may follow the maximum instead of preceding it: it picks the same point.
+        """
+        return linear_max(x, *self.folded(x))
+
+
+class SharedMLP(nn.ModuleList):
+    """The shared MLP a-b-c-…: a ``NormLinear`` a step, each followed by ReLU."""
+
+    def __init__(self, *channels: int) -> None:
+        super().__init__(NormLinear(a, b) for a, b in pairwise(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(…,C) → (…,C_out)."""
+        for layer in self:
+            x = F.relu_(layer(x))
+        return x
+
+    def max(self, x: Tensor) -> Tensor:
+        """(…,n,C) → (…,C_out): the maximum over n of the last layer's outputs."""
+        *inner, last = self
+        assert isinstance(last, NormLinear)
+        for layer in inner:
+            x = F.relu_(layer(x))
+        return F.relu_(last.max(x))
+
+
+def head(*channels: int, dropout: tuple[float, ...]) -> nn.Sequential:
+    """Fully connected layers with batch norm and ReLU, the last one linear alone.
+
+    Args:
+        dropout: rate after each hidden layer's ReLU.
+    """
+    *hidden, outputs = channels
+    layers: list[nn.Module] = []
+    for (a, b), rate in zip(pairwise(hidden), dropout, strict=True):
+        layers += [nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU(inplace=True)]
+        layers += [nn.Dropout(rate)] if rate else []
+    return nn.Sequential(*layers, nn.Linear(hidden[-1], outputs))
