@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import importlib
 from collections.abc import Iterable, Mapping
@@ -81,16 +82,39 @@ class ModelCard:
 
 CARD_TABLES: tuple[str, ...] = ("baselines.cards:CARDS", "papnet.cards:CARDS")
 
+OPEN_SOURCE = "renderers.sources.open:open_source"
+"""Opens a source by name, or whatever a path is: an archive, a tree, a folder, an HDF5 file."""
+
 SOURCES: dict[str, str] = {
     "parametric": "renderers.shapes.source:ParametricShapes",
     "modelnet40": "renderers.sources.modelnet:ModelNet40Tree",
     "modelnet40-zip": "renderers.sources.modelnet:ModelNet40Zip",
     "folder": "renderers.sources.folder:MeshFolder",
+    "clouds": "renderers.sources.clouds:CompleteClouds",
 }
+
+DATASET_IDS: dict[str, tuple[str, str]] = {
+    "parametric": ("pm40-parametric", "mitsuba"),
+    "modelnet40": ("pm40", "mitsuba"),
+    "modelnet40-zip": ("pm40", "mitsuba"),
+    "folder": ("pm40-custom", "mitsuba"),
+    "clouds": ("pm40-clouds", "hpr"),
+    "scannet": ("ps15", "hpr"),
+    "rooms": ("ps15-rooms", "hpr"),
+}
+"""Source name → (data set id, occluder). Different ids never share a table's column."""
 
 OCCLUDERS: dict[str, str] = {
     "mitsuba": "renderers.mitsuba_depth:MitsubaOccluder",
+    "hpr": "renderers.hpr:HprOccluder",
+    "whole": "renderers.whole:WholeOccluder",
 }
+
+
+LEADERBOARD = "leaderboard.build:build_leaderboard"
+SHAPE_EXPORT = "renderers.shapes.export:export_tree"
+RELEASES: dict[str, str] = {"papnet": "renderers.release:import_release"}
+"""Layouts of published arrays that ``partialbench import`` reads."""
 
 
 def load(entry: str) -> Any:
@@ -134,6 +158,12 @@ def unique(cards: Iterable[ModelCard]) -> dict[str, ModelCard]:
             )
         table[card.name] = card
     return table
+
+
+def card_data(card: ModelCard) -> dict[str, Any]:
+    """A card as JSON data."""
+    data = dataclasses.asdict(card)
+    return {**data, "invariances": sorted(card.invariances)}
 
 
 def cards() -> dict[str, ModelCard]:
@@ -182,8 +212,8 @@ def load_published(name: str, state: Mapping[str, Any], num_classes: int) -> nn.
     return model.eval()
 
 
-def source_entry(name: str) -> str:
-    """The "module:object" of a named source."""
-    if name not in SOURCES:
-        raise InputError(f"no source named {name!r}{close_matches(name, SOURCES)}")
-    return SOURCES[name]
+def occluder_entry(name: str) -> str:
+    """The "module:object" of a named occluder."""
+    if name not in OCCLUDERS:
+        raise InputError(f"no occluder named {name!r}{close_matches(name, OCCLUDERS)}")
+    return OCCLUDERS[name]

@@ -17,7 +17,8 @@ from partialbench.dataset.shards import open_shard
 from partialbench.errors import InputError
 
 _SMALL = (
-    "label", "object_id", "view", "R_camera_object", "visible_fraction", "n_visible", "symmetry",
+    "label", "object_id", "view", "R_camera_object", "t_camera_object", "visible_fraction",
+    "n_visible", "symmetry",
 )  # fmt: skip
 
 
@@ -33,7 +34,7 @@ class ShardDataset:
         labels: (M,) int64.
         object_ids: (M,) str array.
         views: (M,) int32.
-        rotations: (M,3,3) float64 R_camera_object.
+        rotations: (M,3,3) float64 R_camera_object. translations: (M,3) float64 t_camera_object.
         visible_fraction: (M,) float32. n_visible: (M,) int32.
         symmetries: (M,) str array of group names.
         class_names: label → name. dataset_id, setting, digest: from the manifest; the digest is of
@@ -74,6 +75,7 @@ class ShardDataset:
         self.symmetries = np.char.decode(columns["symmetry"], "utf-8")
         self.views = columns["view"]
         self.rotations = columns["R_camera_object"]
+        self.translations = columns["t_camera_object"]
         self.visible_fraction = columns["visible_fraction"]
         self.n_visible = columns["n_visible"]
         self._stored_points = stored

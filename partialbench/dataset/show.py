@@ -7,9 +7,13 @@ the object's canonical axes (x red, y green, z blue) and the visible fraction in
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.seeding import generator
@@ -73,26 +77,27 @@ def _write_png(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
     for n, (row, cloud) in enumerate(zip(rows, data.points(rows), strict=True)):
         axes = figure.add_subplot(lines, columns, n + 1)
         far_first = np.argsort(-cloud[:, 2])
-        # Perspective picture plane, scaled to the object's distance.
-        centre = cloud.mean(0)
+        # Perspective picture plane through the object's centre.
+        centre = data.translations[row]
         picture = (cloud[:, :2] / cloud[:, 2:] - centre[:2] / centre[2]) * centre[2]
-        axes.scatter(*picture[far_first].T, c=-cloud[far_first, 2], s=1.5, cmap="viridis", lw=0)
+        x, y = picture[far_first].T
+        axes.scatter(x, y, c=-cloud[far_first, 2], s=1.5, cmap="viridis", lw=0)
         _draw_axes(axes, data.rotations[row])
         name = data.class_names[data.labels[row]]
         seen = f"{data.visible_fraction[row]:.0%} seen"
         axes.set_title(f"{name}\n{data.object_ids[row]} · {seen}", fontsize=6.5)
         axes.set_aspect("equal")
-        axes.set_xlim(-1.15, 1.15)
-        axes.set_ylim(1.15, -1.15)  # y points down
+        axes.set_xlim(-1.3, 1.3)
+        axes.set_ylim(1.3, -1.3)  # y points down
         axes.axis("off")
     figure.tight_layout(rect=(0, 0, 1, 0.97))
     with open(out, "wb") as file:
         figure.savefig(file, format="png")
 
 
-def _draw_axes(axes, rotation: NDArray, length: float = 0.3) -> None:
+def _draw_axes(axes: Axes, rotation: NDArray, length: float = 0.3) -> None:
     """The object's canonical axes in the lower left corner, foreshortened as in the picture."""
-    corner = np.array([-0.8, 0.8])
+    corner = np.array([-0.95, 0.95])
     for direction, colour in zip(rotation.T, AXIS_COLOURS.values(), strict=True):
         tip = direction[:2] * length
         axes.annotate(

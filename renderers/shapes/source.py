@@ -62,6 +62,18 @@ class ParametricShapes:
                 f"from 0 to {TEST_START:,}, or 'modelnet40'"
             )
 
+    @classmethod
+    def from_description(cls, description: dict[str, Any]) -> ParametricShapes:
+        """The source that ``describe`` described; ``InputError`` for another generation's."""
+        if description["generation"] != GENERATION:
+            raise InputError(
+                f"the data were made with generation {description['generation']} of the shapes, "
+                f"this release makes generation {GENERATION}"
+            )
+        source = cls(seed=description["seed"])
+        source.counts = {name: (int(a), int(b)) for name, (a, b) in description["counts"].items()}
+        return source
+
     def splits(self) -> tuple[str, ...]:
         return ("train", "test")
 
@@ -95,7 +107,7 @@ class ParametricShapes:
 
     def describe(self) -> dict[str, Any]:
         return {
-            "source": "parametric",
+            "name": "parametric",
             "generation": GENERATION,
             "seed": self.seed,
             "counts": {name: list(pair) for name, pair in self.counts.items()},

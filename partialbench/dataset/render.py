@@ -1,0 +1,98 @@
+"""From the options of ``partialbench render`` to a plan: source, occluder, poses, views."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from partialbench import registry
+from partialbench.dataset import manifest as manifests
+from partialbench.dataset.build import BuildPlan
+from partialbench.dataset.rows import Job
+from partialbench.dataset.sources import Occluder, Source
+from partialbench.errors import InputError
+
+DEFAULT_SOURCE = {"pm40": "parametric", "ps15": "rooms"}
+# The paper: ten views of every training object, one of every test object.
+PAPER_VIEWS = {"pm40": {"train": 10, "test": 1}, "ps15": {"train": 10, "test": 10}}
+
+
+def plan_render(
+    data_set: str,
+    out: Path,
+    *,
+    source: str | None = None,
+    source_options: dict[str, Any] | None = None,
+    occluder_options: dict[str, Any] | None = None,
+    setting: str = "partial",
+    views: int | None = None,
+    splits: tuple[str, ...] | None = None,
+    objects_per_class: int | None = None,
+    points: int = 2048,
+    seed: int = 0,
+    rows_per_shard: int = 1000,
+) -> BuildPlan:
+    """The plan of one data folder.
+
+    Args:
+        data_set: "pm40" or "ps15".
+        source: a registered name or a path; default: the data set's built-in source.
+        source_options: passed to the source (``aligned``, ``up``, ``counts``, …).
+        occluder_options: passed to the occluder (``resolution``, ``sensor``, ``variant``, …).
+        views: viewpoints per training object; test objects get one (PS15: the same number).
+        splits: default: all the source has.
+        objects_per_class: at most so many of each class in each split.
+
+    Raises:
+        InputError: unknown names (with close matches), a path that is no source, or numbers out of
+            range.
+    """
+    if data_set not in DEFAULT_SOURCE:
+        raise InputError(
+            f"no data set {data_set!r}{registry.close_matches(data_set, DEFAULT_SOURCE)}"
+        )
+    open_source = registry.load(registry.OPEN_SOURCE)
+    shapes: Source = open_source(source or DEFAULT_SOURCE[data_set], **(source_options or {}))
+    name = shapes.describe()["name"]
+    dataset_id, occluder_name = registry.DATASET_IDS[name]
+    if not dataset_id.startswith(data_set):
+        raise InputError(
+            f"source {source!r} ({name}) makes {dataset_id}, not {data_set}: run "
+            f"'partialbench render {dataset_id[:4]}'"
+        )
+    options = dict(occluder_options or {})
+    options.pop("sensor", None)
+    if setting != "partial":
+        occluder_name, options = "whole", {}
+    elif occluder_name != "mitsuba":
+        options = {k: v for k, v in options.items() if k in ("radius",)}
+    per_split = dict(PAPER_VIEWS[data_set])
+    if views is not None:
+        per_split = {"train": views, "test": views if data_set == "ps15" else 1}
+    chosen = splits or shapes.splits()
+    if unknown := [s for s in chosen if s not in shapes.splits()]:
+        raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
+    occluder: Occluder = registry.load(registry.occluder_entry(occluder_name))(**options)
+    return BuildPlan(
+        Job(shapes, occluder, dataset_id, setting, per_split, points, seed),
+        Path(out),
+        tuple(chosen),
+        None if objects_per_class is None else dict.fromkeys(chosen, objects_per_class),
+        rows_per_shard,
+    )
+
+
+def source_of(folder: Path, name_or_path: str | None = None) -> Source | None:
+    """The source a data folder was made from, for checking its points against surfaces.
+
+    Args:
+        name_or_path: where the source is; without it, only the built-in shapes are at hand, with
+            the settings the manifest records.
+    """
+    configuration = manifests.load(folder).configuration["source"]
+    if name_or_path is None:
+        if configuration["name"] != "parametric":
+            return None
+        cls = registry.load(registry.SOURCES["parametric"])
+        return cls.from_description(configuration)
+    return registry.load(registry.OPEN_SOURCE)(name_or_path)
