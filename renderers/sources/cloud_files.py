@@ -1,0 +1,118 @@
+"""Point cloud files of any common format as one (n,3) array."""
+
+from __future__ import annotations
+
+import io
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from partialbench.errors import InputError
+
+SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".npy")
+"""The formats that are read, in the order of preference where an object comes in several."""
+
+_PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
+
+
+def read_cloud(content: bytes, name: str) -> NDArray[np.float64]:
+    """The points of one file, (n,3) float64 in the file's units and frame, n ≥ 1.
+
+    PLY and PCD give their vertices' x, y, z; XYZ, TXT and NPY their first three columns. Further
+    fields (colours, normals, faces) are left aside. Points that are not finite are dropped from a
+    PCD, where they mean "no measurement", and are an error elsewhere.
+
+    Args:
+        content: the file's bytes.
+        name: its name; the suffix says the format.
+
+    Raises:
+        InputError: the format is none of ``SUFFIXES``, or the file is broken or has no points.
+    """
+    suffix = PurePosixPath(name).suffix.lower()
+    reader = {
+        ".ply": _read_ply, ".pcd": _read_pcd, ".xyz": _read_text, ".txt": _read_text,
+        ".npy": _read_npy,
+    }.get(suffix)  # fmt: skip
+    if reader is None:
+        raise InputError(f"{name}: {suffix or 'no'!r} is no cloud suffix of {', '.join(SUFFIXES)}")
+    try:
+        points = np.asarray(reader(content), np.float64)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    except Exception as error:  # each format's parser fails in its own ways
+        raise InputError(
+            f"{name}: cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {error})"
+        ) from error
+    if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0:
+        raise InputError(f"{name}: expected an (n,3) cloud with n ≥ 1, got {points.shape}")
+    points = points[:, :3]
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        raise InputError(f"{name}: {(~finite).sum()} of {len(points)} points are not finite")
+    return points
+
+
+def _read_ply(content: bytes) -> NDArray:
+    loaded: Any = trimesh.load(io.BytesIO(content), file_type="ply", process=False)
+    return np.asarray(loaded.vertices)
+
+
+def _read_text(content: bytes) -> NDArray:
+    return np.loadtxt(io.StringIO(content.decode().replace(",", " ")), ndmin=2)
+
+
+def _read_npy(content: bytes) -> NDArray:
+    return np.load(io.BytesIO(content), allow_pickle=False)
+
+
+def _read_pcd(content: bytes) -> NDArray:
+    """Source: the PCD v0.7 format description of the Point Cloud Library."""
+    header: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in header:
+        end = content.find(b"\n", at)
+        if end < 0:
+            raise InputError("the PCD header has no DATA line")
+        key, *values = content[at:end].decode("ascii", "replace").split("#")[0].split() or [""]
+        header[key.upper()] = values
+        at = end + 1
+    try:
+        fields, sizes = header["FIELDS"], [int(size) for size in header["SIZE"]]
+        counts = [int(count) for count in header.get("COUNT", ["1"] * len(fields))]
+        rows = int(header["POINTS"][0])
+        layout = np.dtype(
+            [
+                (f"{i}", f"<{_PCD_TYPES[kind]}{size}", (count,))
+                for i, (kind, size, count) in enumerate(
+                    zip(header["TYPE"], sizes, counts, strict=True)
+                )
+            ]
+        )
+        columns = [fields.index(axis) for axis in "xyz"]
+        encoding = header["DATA"][0].lower()
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise InputError(f"the PCD header is broken or has no x, y, z ({error})") from error
+    if encoding == "ascii":
+        table = np.loadtxt(io.BytesIO(content[at:]), ndmin=2)
+        starts = np.concatenate([[0], np.cumsum(counts)])
+        points = table[:, starts[columns]]
+    elif encoding == "binary":
+        if len(content) - at < rows * layout.itemsize:
+            raise InputError(
+                f"the PCD was cut short: {rows} points need {rows * layout.itemsize} bytes, "
+                f"{len(content) - at} follow the header"
+            )
+        records = np.frombuffer(content, layout, rows, at)
+        points = np.column_stack([records[str(c)][:, 0] for c in columns])
+    else:
+        raise InputError(
+            f"the PCD has DATA {encoding}, expected ascii or binary; convert it with "
+            f"'pcl_convert_pcd_ascii_binary IN OUT 1'"
+        )
+    if len(points) != rows:
+        raise InputError(f"the PCD header says {rows} points, {len(points)} follow it")
+    return points[np.isfinite(points).all(axis=1)]
