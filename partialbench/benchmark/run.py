@@ -70,7 +70,7 @@ def run_eval(
         InputError: anything about the arguments or files.
     """
     results_folder = Path(results_folder)
-    fabric = _fabric(device, precision)
+    fabric = make_fabric(device, precision)
     if checkpoint_file is not None:
         tests = [folder for folder in (data, test_data) if folder is not None]
         return _test_checkpoint(Path(checkpoint_file), tests, fabric, results_folder)
@@ -201,7 +201,7 @@ def _card_as_dict(card: ModelCard) -> dict[str, Any]:
     }
 
 
-def _fabric(device: str, precision: str) -> Fabric:
+def make_fabric(device: str, precision: str) -> Fabric:
     """A launched Fabric on ``device``; with torchrun's variables set, one process of many."""
     kind, _, index = device.partition(":")
     if kind not in ("auto", "cpu", "cuda", "mps") or (index and not index.isdigit()):

@@ -206,11 +206,12 @@ def train(
         if epoch < epochs:
             state |= {"optimizer": optimizer.state_dict(), "schedule": schedule.state_dict()}
         else:
-            state["summary"] = summary()
+            state["summary"] = done
         checkpoint.save(path, identity, state)
 
+    done: dict[str, Any] | None = None
     started = time.perf_counter()
-    loss_seen = torch.zeros((), device=fabric.device, dtype=torch.float64)
+    loss_seen = torch.zeros((), device=fabric.device)
     with _progress(fabric) as progress:
         bar = progress.add_task(task.model, total=total_steps, loss="")
         while epoch < epochs:
@@ -224,7 +225,10 @@ def train(
                 optimizer.zero_grad(set_to_none=True)
                 fabric.backward(loss)
                 if task.recipe.clip_norm is not None:
-                    fabric.clip_gradients(network, optimizer, max_norm=task.recipe.clip_norm)
+                    fabric.clip_gradients(
+                        network, optimizer, max_norm=task.recipe.clip_norm,
+                        error_if_nonfinite=False,  # _look says more about it
+                    )  # fmt: skip
                 optimizer.step()
                 loss_seen += loss.detach()
                 batch_index = place.batch + 1
@@ -254,11 +258,14 @@ def train(
             )
             log.info("epoch %d of %d: %s", epoch + 1, epochs, json.dumps(history[-1]))
             epoch, batch_index, loss_sum = epoch + 1, 0, 0.0
+            if epoch == epochs:
+                done = summary()
             save()
             if fabric.is_global_zero:
                 write_atomically(folder / "log.csv", _as_csv(history))
     fabric.barrier()
-    return Trained(bare.eval(), history, summary())
+    assert done is not None
+    return Trained(bare.eval(), history, done)
 
 
 def _look(fabric: Fabric, seen: Tensor, loss_sum: float, task: Task, place: Any) -> float:

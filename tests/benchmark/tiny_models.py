@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import torch
 from torch import nn
 from torch.nn.functional import cross_entropy
@@ -69,3 +71,25 @@ def wrong_shape(num_classes: int) -> nn.Module:
 
 def not_a_model(num_classes: int) -> int:
     return num_classes
+
+
+class Interrupted(Bare):
+    """Stops like Ctrl-C at a training step chosen from outside."""
+
+    stop_at: int | None = None
+    taken = 0
+
+    def forward(self, clouds: torch.Tensor) -> torch.Tensor:
+        if self.training:
+            Interrupted.taken += 1
+            if Interrupted.taken == Interrupted.stop_at:
+                raise KeyboardInterrupt
+        return super().forward(clouds)
+
+
+class Slow(Bare):
+    """Long enough a step to be killed within one."""
+
+    def forward(self, clouds: torch.Tensor) -> torch.Tensor:
+        time.sleep(0.1 * self.training)
+        return super().forward(clouds)

@@ -1,0 +1,236 @@
+"""Training: it learns, resumes to the last bit, stops at NaN, and refuses another's checkpoint."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from lightning.fabric import Fabric
+
+from partialbench.benchmark import checkpoint
+from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.run import make_task
+from partialbench.benchmark.train import DivergedError, train
+from partialbench.errors import ConfigurationMismatchError, InputError
+from partialbench.registry import Recipe
+from tests.benchmark.memory_clouds import MemoryClouds
+from tests.benchmark.tiny_models import Interrupted
+
+MODELS = "tests.benchmark.tiny_models"
+PROTOCOL = Protocol("test", num_points=64, epochs=3)
+RECIPE = Recipe(
+    lr=0.01, batch_size=16, clip_norm=10.0, schedule="plateau", epochs=3, label_smoothing=0.1,
+    schedule_options={"factor": 0.5, "patience": 1,
+                      "bn_momentum": {"start": 0.5, "gamma": 0.5, "every_epochs": 1}},
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def run(
+    folder: Path, model="Bare", protocol=PROTOCOL, recipe=RECIPE, seed=0, clouds=None, **kwargs
+):
+    fabric = Fabric(accelerator="cpu", devices=1)
+    task = make_task(f"{MODELS}:{model}", clouds or MemoryClouds(), protocol, recipe, seed, {})
+    return train(task, fabric, folder, **kwargs)
+
+
+def weights(folder: Path) -> dict[str, torch.Tensor]:
+    return checkpoint.load(folder / "checkpoint.pt")["state"]
+
+
+def same(a, b) -> bool:
+    return a.keys() == b.keys() and all(torch.equal(a[name], b[name]) for name in a)
+
+
+def test_it_learns_a_problem_that_rotations_do_not_hide(tmp_path):
+    protocol = Protocol("test", num_points=64, epochs=30)
+    recipe = Recipe(lr=0.01, batch_size=16, epochs=30, schedule="one-cycle")
+    trained = run(tmp_path, protocol=protocol, recipe=recipe, clouds=MemoryClouds(objects=60))
+    assert trained.history[-1]["train_loss"] < 0.7 * trained.history[0]["train_loss"]
+    assert trained.history[-1]["validation_accuracy"] > 0.75
+    assert not trained.model.training
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path):
+    for name, seed in [("a", 0), ("b", 0), ("c", 1)]:
+        run(tmp_path / name, seed=seed)
+    assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
+    assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
+
+
+@pytest.mark.parametrize("stop_at", [2, 6, 7, 15])
+def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, monkeypatch, stop_at):
+    """Six batches an epoch, saved every two: stops before the first save, at and off epoch ends."""
+    monkeypatch.setattr(Interrupted, "stop_at", None)
+    whole = run(tmp_path / "whole", "Interrupted")
+    monkeypatch.setattr(Interrupted, "taken", 0)
+    monkeypatch.setattr(Interrupted, "stop_at", stop_at)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "cut", "Interrupted", checkpoint_every=2)
+    left = tmp_path / "cut" / "checkpoint.pt"
+    if stop_at == 2:
+        assert not left.exists()
+    else:
+        saved = checkpoint.load(left)
+        assert saved["epoch"] * 6 + saved["batch"] == (stop_at - 1) // 2 * 2
+    torch.manual_seed(99)  # whatever happened in between
+    resumed = run(tmp_path / "cut", "Interrupted", resume=True, checkpoint_every=2)
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
+    for a, b in zip(whole.history, resumed.history, strict=True):
+        assert a["train_loss"] == pytest.approx(b["train_loss"], rel=1e-12)
+        assert a["validation_accuracy"] == b["validation_accuracy"]
+
+
+def test_resuming_a_finished_training_trains_nothing(tmp_path):
+    first = run(tmp_path)
+    before = (tmp_path / "checkpoint.pt").read_bytes()
+    again = run(tmp_path, resume=True)
+    assert (tmp_path / "checkpoint.pt").read_bytes() == before
+    assert again.summary == first.summary
+    assert same(again.model.state_dict(), first.model.state_dict())
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"seed": 1}, "seed"),
+        ({"recipe": Recipe(lr=0.5)}, "recipe"),
+        ({"protocol": Protocol("test", num_points=64, epochs=4)}, "protocol"),
+        ({"clouds": MemoryClouds(seed=7)}, "train_data"),
+    ],
+)
+def test_another_trainings_checkpoint_is_refused(tmp_path, change, named):
+    run(tmp_path)
+    with pytest.raises(ConfigurationMismatchError, match=named):
+        run(tmp_path, resume=True, **change)
+
+
+def test_a_loss_that_is_not_a_number_ends_training_early_and_saves_nothing(tmp_path):
+    with pytest.raises(DivergedError, match=r"became nan in epoch 0.*lr \(now 0.01\)"):
+        run(tmp_path, "Broken")
+    assert not (tmp_path / "checkpoint.pt").exists()
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        ("wrong_shape", r"class_logits have shape \(16, 4\), expected \(16, 3\)"),
+        ("not_a_model", "returned a int; expected a torch.nn.Module"),
+        ("Bar", "did you mean Bare"),
+    ],
+)
+def test_a_users_mistake_is_named(tmp_path, model, message):
+    with pytest.raises(InputError, match=message):
+        run(tmp_path, model)
+
+
+def test_the_log_has_a_row_an_epoch(tmp_path):
+    trained = run(tmp_path)
+    with open(tmp_path / "log.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["epoch"]) for row in rows] == [0, 1, 2]
+    assert [int(row["clouds_seen"]) for row in rows] == [96, 192, 288]
+    assert float(rows[-1]["train_loss"]) == trained.history[-1]["train_loss"]
+    assert trained.summary["steps"] == 18
+    assert trained.summary["clouds_seen"] == 288
+
+
+def test_a_checkpoint_loads_without_running_code_and_a_stranger_does_not(tmp_path):
+    run(tmp_path)
+    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    assert content["class_names"] == ["bottle", "chair", "table"]
+    assert content["num_points"] == 64
+    assert "optimizer" not in content  # a finished one holds weights alone
+    model = checkpoint.build_model(content)
+    clouds = torch.from_numpy(MemoryClouds().points(np.arange(4)))
+    assert model(clouds).shape == (4, 3)
+
+    torch.save({"state_dict": {}}, tmp_path / "other.pt")
+    with pytest.raises(InputError, match="not written by partialbench eval"):
+        checkpoint.load(tmp_path / "other.pt")
+    torch.save(Path("x"), tmp_path / "code.pt")
+    (tmp_path / "cut.pt").write_bytes((tmp_path / "checkpoint.pt").read_bytes()[:500])
+    for name in ("code.pt", "cut.pt"):
+        with pytest.raises(InputError, match="not a checkpoint that loads safely"):
+            checkpoint.load(tmp_path / name)
+
+
+SCRIPT = """
+import sys, torch
+torch.set_num_threads(1)
+from pathlib import Path
+from tests.benchmark import test_train
+test_train.run(Path(sys.argv[1]), "Slow", protocol=test_train.PROTOCOL, resume=True,
+               checkpoint_every=2)
+"""
+
+
+@pytest.mark.slow
+def test_training_killed_three_times_ends_with_the_same_weights(tmp_path):
+    root = Path(__file__).resolve().parents[2]
+    rng = np.random.default_rng()
+    command = [sys.executable, "-c", SCRIPT]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    subprocess.run([*command, str(tmp_path / "whole")], cwd=root, env=environment, check=True)
+    path = tmp_path / "cut" / "checkpoint.pt"
+    for _ in range(3):
+        process = subprocess.Popen([*command, str(tmp_path / "cut")], cwd=root, env=environment)
+        before = path.stat().st_mtime_ns if path.exists() else 0
+        while process.poll() is None:
+            time.sleep(0.01)
+            if path.exists() and path.stat().st_mtime_ns != before:
+                time.sleep(rng.uniform(0, 0.3))
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+        assert process.returncode == -signal.SIGKILL
+    assert "summary" not in checkpoint.load(path)
+    subprocess.run([*command, str(tmp_path / "cut")], cwd=root, env=environment, check=True)
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
+
+
+@pytest.mark.slow
+def test_two_processes_train_the_same_model_as_one(tmp_path):
+    """gloo: the shares of a batch average to the whole batch's gradient, to rounding."""
+    root = Path(__file__).resolve().parents[2]
+    script = tmp_path / "job.py"
+    script.write_text(TWO_PROCESSES)
+    environment = {**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
+    single = [sys.executable, str(script), str(tmp_path / "one")]
+    double = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2",
+              "--master-port", "0", "--standalone", str(script), str(tmp_path / "two")]  # fmt: skip
+    for command in (single, double):
+        subprocess.run(command, cwd=root, env=environment, check=True, timeout=300)
+    one, two = (checkpoint.load(tmp_path / n / "checkpoint.pt") for n in ("one", "two"))
+    for name, tensor in one["state"].items():
+        assert torch.allclose(tensor, two["state"][name], atol=1e-5), name
+    for a, b in zip(one["history"], two["history"], strict=True):
+        assert a["train_loss"] == pytest.approx(b["train_loss"], rel=1e-5)
+        assert a["validation_accuracy"] == b["validation_accuracy"]
+
+
+TWO_PROCESSES = """
+import sys
+from pathlib import Path
+from partialbench.benchmark.run import make_fabric, make_task
+from partialbench.benchmark.train import train
+from tests.benchmark import test_train
+fabric = make_fabric("cpu", "32-true")
+task = make_task("tests.benchmark.tiny_models:NoNorm", test_train.MemoryClouds(),
+                 test_train.PROTOCOL, test_train.RECIPE, 0, {})
+train(task, fabric, Path(sys.argv[1]))
+"""
