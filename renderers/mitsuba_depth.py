@@ -288,7 +288,7 @@ class _Tracer:
         view = dr.arange(mi.UInt32, ends.size) // count
         origin = dr.gather(mi.Point3f, mi.Float(eyes.astype(np.float32).ravel()), view)
         direction = mi.Vector3f(directions.reshape(-1, 3).T)
-        ray = mi.Ray3f(origin, direction)
+        ray: Any = mi.Ray3f(origin, direction)
         ray.maxt = mi.Float(ends.ravel())
         return ~self.scene.ray_test(ray).numpy().reshape(ends.shape)
 
