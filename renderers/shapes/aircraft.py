@@ -134,8 +134,8 @@ def airplane(p: Draw) -> Iterable[Solid]:
             yield both(_jet(x + back, half * 0.7, z - 0.03, 0.012), "y")
     elif p.variant == "propeller" and p.chance(0.7):
         ey, turn = 0.3 * half, p.uniform(0, 180)
-        pod = [(-0.13, 0.5), (-0.1, 1.0), (0.02, 0.9), (0.14, 0.2)]
-        nacelle = body([(x + a, p.engine * r, p.engine * r, z) for a, r in pod], 12)
+        rows = [(-0.13, 0.5), (-0.1, 1.0), (0.02, 0.9), (0.14, 0.2)]
+        nacelle = body([(x + a, p.engine * r, p.engine * r, z) for a, r in rows], 12)
         yield both(join(nacelle.at(y=ey), _propeller(x - 0.13, ey, z, 2.8 * p.engine, turn)), "y")
     else:
         yield from _propeller(-0.5, 0, -0.2 * radius, 3.6 * p.engine, p.uniform(0, 180))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 
@@ -141,9 +142,9 @@ def _drawer(
         yield box((x - front - 0.025, x - front), (middle - long / 2, middle + long / 2),
                   (height - 0.01, height + 0.01))  # fmt: skip
     elif p.handle_style < 0.85:
-        for side in (-1, 1) if y[1] - y[0] > 0.4 else (0,):
+        for at in (-1, 1) if y[1] - y[0] > 0.4 else (0,):
             knob = ellipsoid(0.018, 0.018, 0.018, 8)
-            yield knob.at(x - front - 0.015, middle + side * long / 2, height)
+            yield knob.at(x - front - 0.015, middle + at * long / 2, height)
     if hollow:
         y0, y1 = y[0] + 0.02, y[1] - 0.02
         back, (z0, z1) = x + depth * 0.9, (z[0] + 0.01, z[1] - 0.03)
@@ -193,10 +194,10 @@ def dresser(p: Draw) -> Iterable[Solid]:
     columns = p.integer(2, 3) if p.variant in ("wide", "with_mirror") else p.choice((1, 1, 2))
     split_top = columns == 1 and p.chance(0.4)
     pulled = p.integer(0, rows - 1) if p.chance(0.1) else -1
-    for row, (z0, z1) in enumerate(zip(edge[:-1], edge[1:], strict=True)):
+    for row, (z0, z1) in enumerate(pairwise(edge)):
         n = 2 if split_top and row == rows - 1 else columns
         side = np.linspace(-w / 2 + p.panel, w / 2 - p.panel, n + 1)
-        for y0, y1 in zip(side[:-1], side[1:], strict=True):
+        for y0, y1 in pairwise(side):
             out = d * 0.4 if row == pulled else 0.0
             yield join(_drawer(p, x - out, (y0 + p.gap / 2, y1 - p.gap / 2),
                                (z0 + p.gap / 2, z1 - p.gap / 2), d, hollow or out > 0))  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,14 +25,13 @@ def _pedestal(p: Draw, x: Extent, y: Extent, z: tuple[float, float], hollow: boo
         parts.append(box((x0, x1), (y0, y1), z))
     edges = np.linspace(*z, p.integer(2, 4) + 1)
     pulled = p.integer(0, len(edges) - 2) if p.chance(0.12) else -1
-    for row, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for row, (low, high) in enumerate(pairwise(edges)):
         out = p.drawer_out if row == pulled else 0.0
         front = x0 - out
         parts.append(box((front - 0.012, front), (y0 + 0.008, y1 - 0.008),
                          (low + 0.006, high - 0.006)))  # fmt: skip
-        grip = (y1 - y0) * p.grip
-        parts.append(box((front - 0.03, front - 0.012), ((y0 + y1 - grip) / 2, (y0 + y1 + grip) / 2),
-                         ((low + high) / 2 - 0.008, (low + high) / 2 + 0.008)))  # fmt: skip
+        handle = box((front - 0.03, front - 0.012), (y1 - y0) * p.grip, 0.016)
+        parts.append(handle.at(0, (y0 + y1) / 2, (low + high) / 2))
         if out or hollow:
             floor = box((front, x1 - 0.05), (y0 + 0.02, y1 - 0.02), (low + 0.01, low + 0.016))
             parts.append(floor)
@@ -125,12 +125,12 @@ def desk(p: Draw) -> Iterable[Solid]:
 
     if p.variant == "corner":  # the return, towards the user along one side
         reach = p.wing
-        y = side * (w / 2 - d * 0.4)
+        at_y = side * (w / 2 - d * 0.4)
         x = (-d / 2 - reach, -d / 2)
-        yield box(x, d * 0.8, (under, h)).at(0, y)
+        yield box(x, d * 0.8, (under, h)).at(0, at_y)
         if p.chance(0.5):
-            yield _pedestal(p, (x[0] + 0.02, x[0] + block + 0.1), (y - d * 0.36, y + d * 0.36),
+            yield _pedestal(p, (x[0] + 0.02, x[0] + block + 0.1), (at_y - d * 0.36, at_y + d * 0.36),
                             (p.clearance, under), hollow)  # fmt: skip
         else:
-            yield both(box(p.panel, d * 0.76, (0, under)), "y").at(x[0] + p.panel, y)
+            yield both(box(p.panel, d * 0.76, (0, under)), "y").at(x[0] + p.panel, at_y)
         yield box(x, p.panel, (under * (1 - p.modesty), under)).at(0, side * (w / 2 - p.panel))

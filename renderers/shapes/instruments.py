@@ -88,11 +88,11 @@ def guitar(p: Draw) -> Iterable[Solid]:
     if acoustic or p.chance(0.5):
         plate = [(-0.8 * w, 0), (0.8 * w, 0), (hw, 0.25 * long), (0.9 * hw, long),
                  (-0.9 * hw, long), (-hw, 0.25 * long)]  # fmt: skip
-        sides = [(s, y) for s in (-1, 1) for y in (0.35, 0.6, 0.85)]
+        sides = [(s, y) for s in (-1.0, 1.0) for y in (0.35, 0.6, 0.85)]
     else:
         plate = [(-0.8 * w, 0), (0.8 * w, 0), (1.3 * hw, 0.2 * long), (1.1 * hw, 0.5 * long),
                  (0.2 * hw, long), (-0.8 * hw, 0.9 * long), (-0.6 * hw, 0.3 * long)]  # fmt: skip
-        sides = [(-0.75, y) for y in np.linspace(0.25, 0.85, 6)]
+        sides = [(-0.75, y) for y in np.linspace(0.25, 0.85, 6).tolist()]
     pegs = [rod((s * hw * 0.9, y * long, -0.01), (s * (hw + p.peg), y * long, -0.01), 0.006, 6)
             for s, y in sides]  # fmt: skip
     head = join(extrude(plate, (-0.016, 0)), pegs)

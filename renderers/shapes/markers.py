@@ -43,7 +43,9 @@ def cone(p: Draw) -> Iterable[Solid]:
     else:
         yield revolve([*outside, (0, t + h)], 40)
     for z in (p.band_height,) if p.chance(0.5) else (p.band_height * 0.6, p.band_height + 0.15):
-        sleeve = [(r + (top - r) * u + p.bulge * 2 * min(u, 1 - u), t + h * u) for u in (z, z + 0.1)]
+        sleeve = [
+            (r + (top - r) * u + p.bulge * 2 * min(u, 1 - u), t + h * u) for u in (z, z + 0.1)
+        ]
         yield revolve(sleeve, 40).scaled(p.band, p.band)
     foot = r * p.flange
     shape = p.choice(("square", "square", "round", "octagon"))

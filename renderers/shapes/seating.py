@@ -149,8 +149,8 @@ def chair(p: Draw) -> Iterable[Solid]:
         yield both(_bar(p, (x - 0.03, d * 0.6, 0), (x - 0.03, -d * 0.3, seat), 0.7 * p.leg))
         yield box(w - 0.06, d, (seat, seat + 0.5 * p.seat_thickness))
         for z in (0.12, 0.75):  # rails between the legs, at heights along the front frame
-            yield _bar(p, (-x, d * (1.1 * z - 0.55), z * (top + p.back) * p.stretcher),
-                       (x, d * (1.1 * z - 0.55), z * (top + p.back) * p.stretcher), 0.02)  # fmt: skip
+            at = d * (1.1 * z - 0.55), z * (top + p.back) * p.stretcher
+            yield _bar(p, (-x, *at), (x, *at), 0.02)
         slope = np.degrees(np.arctan2(1.1 * d, top + p.back))
         panel = box(w, 0.02, (-0.35 * p.back, 0)).turned("x", -slope)
         yield panel.at(0, 0.55 * d, top + p.back)

@@ -58,8 +58,8 @@ class ParametricShapes:
             self.counts = {name: (int(counts[0]), int(counts[1])) for name in FAMILIES}
         else:
             raise InputError(
-                f"counts is {counts!r}: expected two whole numbers (training, test objects a class) "
-                f"from 0 to {TEST_START:,}, or 'modelnet40'"
+                f"counts is {counts!r}: expected two whole numbers, the training and test objects "
+                f"of each class, from 0 to {TEST_START:,}, or 'modelnet40'"
             )
 
     @classmethod
@@ -84,11 +84,11 @@ class ParametricShapes:
         """
         if split not in self.splits():
             raise InputError(f"no split {split!r}: the shapes have 'train' and 'test'")
-        refs = []
+        refs: list[ObjectRef] = []
         for name, (train, test) in self.counts.items():
-            start, count, first = (
-                (0, train, 1) if split == "train" else (TEST_START, test, train + 1)
-            )
+            start, count, first = 0, train, 1
+            if split == "test":
+                start, count, first = TEST_START, test, train + 1
             label = MODELNET40.index(name)
             refs.extend(
                 ObjectRef(f"{name}_{first + i:04d}", label, split, str(start + i))
