@@ -16,7 +16,7 @@ K = np.array([[585.0, 0, SIZE / 2], [0, 585.0, SIZE / 2], [0, 0, 1]])
 
 def plane(z_m: float, tilt_deg: float = 0.0) -> np.ndarray:
     """z-depth in metres of a plane through (0, 0, z), turned about the camera's y axis."""
-    rows, columns = np.indices((SIZE, SIZE))
+    columns = np.indices((SIZE, SIZE))[1]
     normal = np.array([np.sin(np.deg2rad(tilt_deg)), 0, np.cos(np.deg2rad(tilt_deg))])
     x = (columns + 0.5 - K[0, 2]) / K[0, 0]
     return normal[2] * z_m / (normal[0] * x + normal[2])
@@ -65,7 +65,7 @@ def test_the_projector_shadow_has_the_width_of_the_disparity_step() -> None:
     z[:, 120:160] = 1.0
     focal = np.array([[400.0, 0, 100], [0, 400.0, 2], [0, 0, 1]])
     shadow = projector_shadow(z, focal, 0.075)
-    # Disparity 400·0.075/z: 30 px near, 15 px far. Far columns [105, 120) fall behind the near ones.
+    # Disparity 400·0.075/z: 30 px near, 15 px far. Far columns [105, 120) fall behind the near.
     expected = np.zeros(z.shape, bool)
     expected[:, 105:120] = True
     np.testing.assert_array_equal(shadow, expected)
