@@ -16,6 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from partialbench.dataset.seeding import generator
 from renderers.shapes.solids import Solid, join
@@ -110,21 +111,31 @@ def finish(solid: Solid) -> trimesh.Trimesh:
 
     Faces without area and vertices without faces are removed; fewer than 300 faces are subdivided.
     """
-    vertices, faces = solid.vertices, solid.faces
+    vertices = solid.vertices
     assert np.isfinite(vertices).all(), "a builder made a vertex that is not finite"
-    low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
-    vertices = vertices - (low + high) / 2
-    vertices /= np.linalg.norm(vertices[np.unique(faces)], axis=1).max()
+    faces = _with_area(vertices, solid.faces, GRID * np.ptp(vertices, axis=0).max())
+    corners = vertices[np.unique(faces)]
+    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    vertices = (vertices - centre) / np.linalg.norm(corners - centre, axis=1).max()
+    vertices = np.round(vertices / GRID) * GRID
+    faces = _with_area(vertices, faces, GRID)
     while len(faces) < MIN_FACES:
         finer = Solid(vertices, faces).subdivided()
-        vertices, faces = finer.vertices, finer.faces
-    vertices = np.round(vertices / GRID) * GRID
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    # In units of the grid a triangle with distinct, non-collinear corners has at least area 1/2.
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    faces = faces[area > GRID * GRID * 0.5]
+        vertices = np.round(finer.vertices / GRID) * GRID
+        faces = _with_area(vertices, finer.faces, GRID)
     used, faces = np.unique(faces, return_inverse=True)
     return trimesh.Trimesh(vertices[used], faces.reshape(-1, 3), process=False)
+
+
+def _with_area(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], unit: float
+) -> NDArray[np.int64]:
+    """The faces whose area is not nought, for vertices on a grid of ``unit``.
+
+    On a grid, the least area of a triangle whose corners do not lie on a line is half a cell.
+    """
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    return faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.5 * unit**2]
 
 
 def make(class_name: str, index: int, seed: int = 0) -> trimesh.Trimesh:
