@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 
@@ -94,7 +95,7 @@ def _night_stand(p: Draw) -> Iterable[Solid]:
         levels = np.array([middle, under])
     else:
         levels = np.array([under])
-    for low, high in zip(levels[:-1], levels[1:], strict=True):
+    for low, high in pairwise(levels):
         if solid:
             yield front(x, (low, high), -deep, p.board * 0.6, p.gap + 0.01)
         else:
@@ -153,8 +154,8 @@ def tv_stand(p: Draw) -> Iterable[Solid]:
     levels = np.linspace(floor, tall, rows + 1)
     if rows == 2:
         levels[1] = floor + (tall - floor) * p.level
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
-        for low, high in zip(levels[:-1], levels[1:], strict=True):
+    for left, right in pairwise(edges):
+        for low, high in pairwise(levels):
             if low > floor:
                 yield box((left, right), y, (low - p.board / 2, low + p.board / 2))
             if p.chance(0.35 if p.variant != "plain" else 0.9):
@@ -255,7 +256,7 @@ def wardrobe(p: Draw) -> Iterable[Solid]:
             yield front(x, z, -deep, p.board * 0.6, p.gap)
             yield knob(0, -deep - p.board * 0.6, sum(z) / 2, p.handle, True)
     angle = p.door_angle if p.variant == "open_door" else 0.0
-    for i, (left, right) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for i, (left, right) in enumerate(pairwise(edges)):
         if p.variant == "open" and p.chance(0.6):
             continue
         door = front((0, right - left), (door_low, top), 0, p.board * 0.6, p.gap)
