@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from torch import nn
 
 from partialbench.benchmark.batches import Clouds
@@ -83,7 +84,7 @@ def predict_rows(
         predicted=torch.cat(predicted).numpy().astype(np.int16),
         log_probabilities=log_probabilities,
         pose_bins=pose_bins.astype(np.uint8),
-        rotations=dataset.rotations[rows].astype(np.float32),
+        quaternions=Rotation.from_matrix(dataset.rotations[rows]).as_quat().astype(np.float32),
         symmetries=dataset.symmetries[rows],
         object_ids=dataset.object_ids[rows],
         views=dataset.views[rows].astype(np.int32),

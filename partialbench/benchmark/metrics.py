@@ -17,6 +17,8 @@ from partialbench.benchmark.predictions import Predictions
 from partialbench.geometry.bins import nearest_bins, rotation_bins
 from partialbench.geometry.symmetry import GROUPS, pose_error
 
+VISIBILITY_EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1.0)
+
 
 def confusion(labels: NDArray, predicted: NDArray, num_classes: int) -> NDArray[np.int64]:
     """Counts (K,K): row = true class, column = predicted class."""
@@ -112,6 +114,25 @@ def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
     }
 
 
+def by_visibility(
+    correct: NDArray, visible_fraction: NDArray, edges: Sequence[float] = VISIBILITY_EDGES
+) -> list[dict[str, Any]]:
+    """Accuracy of the clouds whose visible share of the surface falls in [edge, next edge).
+
+    The last bin includes 1; a bin without clouds has accuracy None.
+    """
+    which = np.clip(np.digitize(visible_fraction, edges) - 1, 0, len(edges) - 2)
+    return [
+        {
+            "from": edges[i],
+            "to": edges[i + 1],
+            "clouds": int((which == i).sum()),
+            "accuracy": float(correct[which == i].mean()) if (which == i).any() else None,
+        }
+        for i in range(len(edges) - 1)
+    ]
+
+
 def scores(
     predictions: Predictions, model_classes: Sequence[str], test_classes: Sequence[str]
 ) -> dict[str, Any]:
@@ -146,8 +167,8 @@ def scores(
         "restricted_accuracy": accuracy(label, restricted),
         "restricted_class_accuracy": class_accuracy(label, restricted, len(names)),
         "per_class": dict(zip(names, per_class, strict=True)),
-        "confusion": confusion(label, predicted, len(names)).tolist(),
         "calibration_error": calibration_error(confidence.clip(max=1), predicted == label),
+        "visibility": by_visibility(predicted == label, p.visible_fraction),
         "pose": pose_scores(p),
     }
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from partialbench.errors import InputError
 
@@ -31,7 +32,7 @@ class Predictions:
         predicted: (M,) int16 most probable class, index into the *model's* class names.
         log_probabilities: (M,K) float16 over the model's classes, natural logarithm.
         pose_bins: (M,20) uint8 best first, or (M,0) for a model without pose.
-        rotations: (M,3,3) float32 R_camera_object.
+        quaternions: (M,4) float32 R_camera_object as x, y, z, w; see ``rotations``.
         symmetries: (M,) str group names.
         object_ids: (M,) str. views: (M,) int32. visible_fraction: (M,) float32.
     """
@@ -41,7 +42,7 @@ class Predictions:
     predicted: NDArray[np.int16]
     log_probabilities: NDArray[np.float16]
     pose_bins: NDArray[np.uint8]
-    rotations: NDArray[np.float32]
+    quaternions: NDArray[np.float32]
     symmetries: NDArray[np.str_]
     object_ids: NDArray[np.str_]
     views: NDArray[np.int32]
@@ -57,6 +58,15 @@ class Predictions:
                     f"{field.name} has {len(getattr(self, field.name))} rows, labels have "
                     f"{len(self.labels)}"
                 )
+
+    @property
+    def rotations(self) -> NDArray[np.float64]:
+        """(M,3,3) R_camera_object, rotations to the last bit of float64.
+
+        A rounded matrix would not be: an eighth of the mapped poses of objects with z-inf symmetry
+        lie exactly between two bins, and which is "the nearest" must not hang on rounding.
+        """
+        return Rotation.from_quat(self.quaternions.astype(np.float64)).as_matrix()
 
     def select(self, keep: NDArray) -> Predictions:
         """The clouds of a mask or of indices."""

@@ -127,7 +127,9 @@ def write(folder: Path, result: Result, predictions: Predictions) -> Path:
     text = {"format": FORMAT, "format_version": FORMAT_VERSION, **record}
     text["record_sha256"] = record_digest(text)
     path = folder / f"{result.run_name}{SUFFIX}"
-    write_atomically(path, (json.dumps(text, indent=1, ensure_ascii=False) + "\n").encode())
+    write_atomically(
+        path, (json.dumps(text, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    )
     return path
 
 

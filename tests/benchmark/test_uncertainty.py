@@ -1,0 +1,119 @@
+"""Intervals that cover, tests that keep their level, groups that say what they should."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from partialbench.benchmark.uncertainty import (
+    bootstrap_intervals,
+    holm,
+    indistinguishable_groups,
+    paired_p_value,
+    paired_p_values,
+)
+
+
+def clustered(rng, objects, views):
+    """Whether each view is right: an object's chance is Beta(0.6, 0.3), so its views correlate."""
+    chance = rng.beta(0.6, 0.3, objects)
+    return (rng.random((objects, views)) < chance[:, None]).astype(float).reshape(-1)
+
+
+def test_intervals_cover_clustered_data_and_the_naive_ones_do_not(rng):
+    objects, views, trials, truth = 150, 8, 1500, 0.6 / 0.9
+    ids = np.repeat(np.arange(objects), views)
+    # Every trial is a row: the resampling weights are shared, each row's data are its own.
+    values = np.stack([clustered(rng, objects, views) for _ in range(trials)], axis=1)
+    low, high = bootstrap_intervals(values, ids).T
+    covered = ((low <= truth) & (truth <= high)).mean()
+    assert 0.93 <= covered <= 0.97
+    low, high = bootstrap_intervals(values, np.arange(len(values)), resamples=400).T
+    naive = ((low <= truth) & (truth <= high)).mean()
+    assert naive < 0.8
+
+
+def test_an_interval_is_the_normal_one_for_many_independent_clouds(rng):
+    values = (rng.random((4000, 1)) < 0.8).astype(float)
+    (low, high), mean = bootstrap_intervals(values, np.arange(4000))[0], values.mean()
+    half = 1.96 * np.sqrt(mean * (1 - mean) / 4000)
+    assert (low, high) == pytest.approx((mean - half, mean + half), abs=0.1 * half)
+
+
+def test_degenerate_intervals():
+    assert bootstrap_intervals(np.ones((5, 1)), np.arange(5)).tolist() == [[1.0, 1.0]]
+    assert np.isnan(bootstrap_intervals(np.ones((5, 1)), np.zeros(5))).all()
+    again = [bootstrap_intervals(np.eye(6), np.arange(6)) for _ in range(2)]
+    assert np.array_equal(*again)
+    with pytest.raises(ValueError, match="M ≥ 1"):
+        bootstrap_intervals(np.ones((0, 1)), np.zeros(0))
+
+
+def test_the_paired_test_equals_every_sign_pattern_counted():
+    rng = np.random.default_rng(3)
+    a, b = rng.random((2, 16)).round(1)
+    ids = np.repeat(np.arange(8), 2)
+    difference = (a - b).reshape(8, 2).sum(1)
+    sums = [abs(np.dot(s, difference)) for s in itertools.product((-1, 1), repeat=8)]
+    exact = np.mean(np.array(sums) >= abs(difference.sum()) - 1e-9)
+    assert paired_p_value(a, b, ids, flips=200_000) == pytest.approx(exact, abs=0.005)
+
+
+def test_the_paired_test_keeps_its_level_and_finds_what_is_there(rng):
+    rejected = 0
+    ids = np.repeat(np.arange(60), 5)
+    for _ in range(300):
+        chance = np.repeat(rng.beta(0.6, 0.3, 60), 5)
+        # Each model has its own luck with an object: equally good, yet correlated within objects.
+        luck = np.repeat(rng.normal(0, 0.2, (2, 60)), 5, axis=1)
+        a, b = (rng.random((2, 300)) < np.clip(chance + luck, 0, 1)).astype(float)
+        rejected += paired_p_value(a, b, ids, flips=400) <= 0.05
+    assert rejected / 300 < 0.09
+    better = np.ones(300)
+    worse = (rng.random(300) < 0.9).astype(float)
+    assert paired_p_value(better, worse, ids) < 0.001
+    assert paired_p_value(worse, worse, ids) == 1.0
+
+
+def test_a_matrix_of_tests_is_the_tests_of_its_pairs(rng):
+    values = (rng.random((90, 3)) < (0.5, 0.6, 0.9)).astype(float)
+    ids = np.repeat(np.arange(30), 3)
+    matrix = paired_p_values(values, ids)
+    assert np.array_equal(matrix, matrix.T)
+    assert np.diag(matrix).tolist() == [1, 1, 1]
+    assert matrix[0, 2] == paired_p_value(values[:, 0], values[:, 2], ids)
+
+
+def test_holm_by_hand_and_beside_scipy():
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([]) == []
+    assert holm([0.5, 0.9]) == [1.0, 1.0]
+    # Never below Benjamini–Hochberg, never above Bonferroni.
+    p = np.random.default_rng(0).random(20) ** 3
+    assert np.all(np.array(holm(p)) >= stats.false_discovery_control(p) - 1e-12)
+    assert np.all(np.array(holm(p)) <= np.minimum(1, 20 * p) + 1e-12)
+
+
+def test_groups_by_hand():
+    different = np.zeros((4, 4), bool)
+    assert indistinguishable_groups(different) == [[0, 1, 2, 3]]
+    for i, j in [(0, 2), (0, 3), (1, 3)]:
+        different[i, j] = different[j, i] = True
+    assert indistinguishable_groups(different) == [[0, 1], [1, 2], [2, 3]]
+    assert indistinguishable_groups(~np.eye(3, dtype=bool)) == [[0], [1], [2]]
+    assert indistinguishable_groups(np.zeros((0, 0), bool)) == []
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rows_share_a_group_exactly_when_they_are_not_different(seed):
+    rng = np.random.default_rng(seed)
+    upper = np.triu(rng.random((8, 8)) < 0.5, 1)
+    different = upper | upper.T
+    groups = [set(g) for g in indistinguishable_groups(different)]
+    for i, j in itertools.combinations(range(8), 2):
+        assert any({i, j} <= g for g in groups) != different[i, j]
+    assert set().union(*groups) == set(range(8))
+    assert not any(a < b for a in groups for b in groups)
