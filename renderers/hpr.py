@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import ConvexHull, QhullError
 
-from partialbench.dataset.sources import View
+from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from renderers.whole import as_cloud
 
@@ -234,14 +234,14 @@ class HprOccluder:
 
     def views(
         self, shape: Any, poses: list[tuple[NDArray, NDArray]], rngs: list[np.random.Generator]
-    ) -> list[View]:
+    ) -> list[View | RejectedView]:
         """One view per pose of an (n,3) cloud. Deterministic: the generators are not used.
 
         Raises:
             InputError: the shape is not a cloud, or as ``hidden_point_removal``.
         """
         cloud = as_cloud(shape)
-        views = []
+        views: list[View | RejectedView] = []
         for rotation, translation in poses:
             in_camera = cloud @ np.asarray(rotation, np.float64).T + translation
             viewpoint = np.zeros(3)

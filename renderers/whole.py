@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from partialbench.dataset.sources import View
+from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 
 
@@ -65,10 +65,10 @@ class WholeOccluder:
 
     def views(
         self, shape: Any, poses: list[tuple[NDArray, NDArray]], rngs: list[np.random.Generator]
-    ) -> list[View]:
+    ) -> list[View | RejectedView]:
         """One view per pose; a mesh is sampled with the view's own generator."""
         is_mesh = isinstance(shape, trimesh.Trimesh)
-        views = []
+        views: list[View | RejectedView] = []
         for (rotation, translation), rng in zip(poses, rngs, strict=True):
             points = sample_surface(shape, self.samples, rng) if is_mesh else as_cloud(shape)
             rotation = np.asarray(rotation, np.float64)

@@ -23,7 +23,7 @@ def sphere(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def by_definition(points: np.ndarray, viewpoint: np.ndarray, radius: float) -> list[int]:
-    """Extreme points of flipped ∪ {viewpoint}, each by a linear program: is it a mixture of others?"""
+    """Extreme points of flipped ∪ {viewpoint}: a linear program finds no mixture of the others."""
     offsets = points - viewpoint
     norms = np.linalg.norm(offsets, axis=1, keepdims=True)
     flipped = np.vstack([offsets + 2 * (radius - norms) * offsets / norms, np.zeros(3)])
@@ -91,7 +91,7 @@ def test_indices_equal_open3ds_on_a_real_scene(shared: Path) -> None:
     o3d = pytest.importorskip("open3d", exc_type=ImportError)
     scene = shared / "data/scannet/scans/scene0470_00/scene0470_00_vh_clean_2.ply"
     points = np.asarray(o3d.io.read_triangle_mesh(str(scene)).vertices)
-    viewpoint = points.mean(axis=0) + [0.013, 0.017, 0.3]
+    viewpoint = points.mean(axis=0) + np.array([0.013, 0.017, 0.3])
     radius = paper_radius(points, viewpoint, 2.0)
     pcd = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     _, theirs = pcd.hidden_point_removal(viewpoint[:, None], radius)

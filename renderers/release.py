@@ -1,0 +1,243 @@
+"""The arrays that the paper's authors released, as a data folder like any other.
+
+TerenceHsu666/PAPNet@878adcc reads ``{train,test}_points.npy`` (M,N,3), ``_labels.npy`` (M,) or
+(M,1) and ``_gt_rot.npy`` (M,3,3), the rotation canonical → observed, which is our R_camera_object.
+The release gives neither translation nor scale, nor which rows show the same object.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.dataset.build import BuildPlan, build
+from partialbench.dataset.categories import MODELNET40, PS15
+from partialbench.dataset.executors import InlineExecutor
+from partialbench.dataset.manifest import Manifest
+from partialbench.dataset.rows import Job
+from partialbench.dataset.sources import ObjectRef, RejectedObject, RejectedView, View
+from partialbench.errors import InputError
+from partialbench.geometry.rotations import is_rotation
+
+SPLITS = ("train", "test")
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of |R·Rᵀ − I| that passes for rounding in the file."""
+
+
+@dataclass(frozen=True)
+class ReleasedSplit:
+    """One split's arrays, row by row.
+
+    Attributes:
+        points: (M,N,3) float, observed frame, mapped from the file, not read.
+        labels: (M,) int64.
+        rotations: (M,3,3) float64 rotations canonical → observed, orthonormal to rounding.
+    """
+
+    points: NDArray[np.floating]
+    labels: NDArray[np.int64]
+    rotations: NDArray[np.float64]
+
+
+def read_release(folder: str | PathLike[str]) -> dict[str, ReleasedSplit]:
+    """The released arrays of both splits, checked.
+
+    Raises:
+        InputError: a file is missing or not a plain array, a shape is not as above, counts differ,
+            labels are not whole numbers of a class, or a matrix is not a rotation.
+    """
+    folder = Path(folder)
+    names = [f"{s}_{what}.npy" for s in SPLITS for what in ("points", "labels", "gt_rot")]
+    missing = [name for name in names if not (folder / name).is_file()]
+    if missing:
+        raise InputError(
+            f"{folder} lacks {', '.join(missing)}; expected the six files {', '.join(names)}"
+        )
+    return {split: _read_split(folder, split) for split in SPLITS}
+
+
+def import_release(folder: str | PathLike[str], out: str | PathLike[str]) -> Manifest:
+    """Write the released arrays as shards, all points of every row, in the released order.
+
+    The data set is ``pm40-release`` or ``ps15-release``, told apart by the labels. Every row is its
+    own object with one view, named ``row_000000`` and on. A cloud is centred on its centroid and
+    scaled into the unit ball, as the paper's network does first; t_camera_object is zero. The share
+    of the surface seen is not known: ``visible_fraction`` is 0 throughout.
+
+    Returns:
+        The finished folder's manifest. A repeated import continues or returns it.
+
+    Raises:
+        InputError: as ``read_release``. ConfigurationMismatchError: the folder holds other data.
+    """
+    source = ReleasedRows(folder)
+    job = Job(
+        source=source,
+        occluder=AsReleased(),
+        dataset_id=source.dataset_id,
+        setting="partial",
+        views=dict.fromkeys(SPLITS, 1),
+        points=source.points_per_row,
+        seed=0,
+    )
+    return build(BuildPlan(job, Path(out), SPLITS), InlineExecutor)
+
+
+@dataclass(frozen=True)
+class ReleasedRow:
+    """One row: (N,3) float64 points in the unit ball, and R_camera_object (3,3)."""
+
+    points: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+
+
+class ReleasedRows:
+    """The released rows as a source. Attributes: as ``partialbench.dataset.sources.Source``."""
+
+    frame = "aligned"
+
+    def __init__(self, folder: str | PathLike[str]) -> None:
+        self._folder = Path(folder)
+        self._splits = read_release(folder)
+        widths = {split: data.points.shape[1] for split, data in self._splits.items()}
+        if len(set(widths.values())) > 1:
+            raise InputError(f"{folder}: the splits differ in points per row: {widths}")
+        self.points_per_row = widths["train"]
+        highest = max(int(data.labels.max()) for data in self._splits.values())
+        is_ps15 = highest < len(PS15)
+        self.dataset_id = "ps15-release" if is_ps15 else "pm40-release"
+        self.class_names: tuple[str, ...] = PS15 if is_ps15 else MODELNET40
+        self.rejected: list[RejectedObject] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Arrays mapped from files would be pickled whole.
+        return {"folder": self._folder}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["folder"])  # type: ignore[misc]
+
+    def splits(self) -> tuple[str, ...]:
+        """Both."""
+        return SPLITS
+
+    def objects(self, split: str) -> list[ObjectRef]:
+        """One object a row, in the released order."""
+        return [
+            ObjectRef(f"row_{row:06d}", int(label), split, f"{split}/{row}")
+            for row, label in enumerate(self._splits[split].labels)
+        ]
+
+    def load(self, ref: ObjectRef) -> ReleasedRow:
+        """The row; ``InputError`` where its points are not finite or all at one place."""
+        points, rotation = self._row(ref)
+        centred = points - points.mean(axis=0)
+        size = np.linalg.norm(centred, axis=1).max()
+        if not (np.isfinite(size) and size > 0):
+            raise InputError(f"{ref.location}: the points are not finite or all at one place")
+        return ReleasedRow(centred / size, rotation)
+
+    def poses(
+        self, shape: ReleasedRow, rngs: Iterable[np.random.Generator]
+    ) -> list[tuple[NDArray, NDArray]]:
+        """The row's own rotation, without a translation."""
+        return [(shape.rotation, np.zeros(3)) for _ in rngs]
+
+    def digest(self, ref: ObjectRef) -> str:
+        """SHA-256 of the row's points and rotation as float64."""
+        points, rotation = self._row(ref)
+        return hashlib.sha256(points.tobytes() + rotation.tobytes()).hexdigest()
+
+    def describe(self) -> dict[str, Any]:
+        """Counts, and a digest of all labels and rotations."""
+        whole = hashlib.sha256()
+        for data in self._splits.values():
+            whole.update(data.labels.tobytes() + data.rotations.tobytes())
+        rows = {split: len(data.labels) for split, data in self._splits.items()}
+        return {"name": "papnet-release", "rows": rows, "annotations_sha256": whole.hexdigest()}
+
+    def _row(self, ref: ObjectRef) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        data, row = self._splits[ref.split], int(ref.location.rpartition("/")[2])
+        return np.array(data.points[row], np.float64), data.rotations[row]
+
+
+class AsReleased:
+    """Views that show a released row as it is."""
+
+    def views(
+        self,
+        shape: ReleasedRow,
+        poses: list[tuple[NDArray, NDArray]],
+        rngs: list[np.random.Generator],
+    ) -> list[View | RejectedView]:
+        """One view per pose with all the row's points."""
+        seen = len(np.unique(shape.points, axis=0))
+        return [
+            View(
+                shape.points.astype(np.float32), rotation, translation, np.zeros((3, 3)), 0.0, seen
+            )
+            for rotation, translation in poses
+        ]
+
+    def describe(self) -> dict[str, Any]:
+        """Name alone."""
+        return {"name": "as-released"}
+
+
+def _read_split(folder: Path, split: str) -> ReleasedSplit:
+    points = _load(folder / f"{split}_points.npy")
+    labels = _load(folder / f"{split}_labels.npy")
+    rotations = _load(folder / f"{split}_gt_rot.npy")
+    where = f"{folder}, {split}"
+    if points.ndim != 3 or points.shape[2] != 3 or 0 in points.shape or points.dtype.kind != "f":
+        raise InputError(
+            f"{where}_points.npy is {points.dtype} {points.shape}, expected floats of shape (M,N,3)"
+        )
+    if labels.ndim not in (1, 2) or (labels.ndim == 2 and labels.shape[1] != 1):
+        raise InputError(f"{where}_labels.npy has shape {labels.shape}, expected (M,) or (M,1)")
+    if rotations.ndim != 3 or rotations.shape[1:] != (3, 3):
+        raise InputError(f"{where}_gt_rot.npy has shape {rotations.shape}, expected (M,3,3)")
+    rows = {"points": len(points), "labels": len(labels), "gt_rot": len(rotations)}
+    if len(set(rows.values())) > 1:
+        raise InputError(f"{where}: the counts differ: {rows}")
+    return ReleasedSplit(points, _whole_labels(labels, where), _orthonormal(rotations, where))
+
+
+def _load(path: Path) -> NDArray:
+    try:
+        return np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise InputError(f"{path} is not a readable .npy array: {error}") from error
+
+
+def _whole_labels(labels: NDArray, where: str) -> NDArray[np.int64]:
+    values = np.asarray(labels).reshape(-1)
+    known = (values >= 0) & (values < len(MODELNET40)) & (values == np.floor(values))
+    if not known.all():
+        row = int((~known).argmax())
+        raise InputError(
+            f"{where}_labels.npy: row {row} has label {values[row]}, expected a whole number from "
+            f"0 to {len(MODELNET40) - 1}"
+        )
+    return values.astype(np.int64)
+
+
+def _orthonormal(rotations: NDArray, where: str) -> NDArray[np.float64]:
+    """The nearest exact rotations, where the given ones are rotations to rounding."""
+    matrices = np.asarray(rotations, np.float64)
+    good = is_rotation(matrices, ROTATION_TOLERANCE)
+    if not good.all():
+        row = int((~good).argmax())
+        raise InputError(
+            f"{where}_gt_rot.npy: {(~good).sum()} of {len(good)} matrices are no rotations "
+            f"(finite, R·Rᵀ = I within {ROTATION_TOLERANCE:g}, det > 0), the first is row {row}: "
+            f"{matrices[row].round(4).tolist()}"
+        )
+    u, _, vt = np.linalg.svd(matrices)
+    return u @ vt

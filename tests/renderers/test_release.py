@@ -1,0 +1,127 @@
+"""The authors' arrays become a data folder that says exactly what they say."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from partialbench.dataset.shards import read_columns
+from partialbench.dataset.verify import verify
+from partialbench.errors import ConfigurationMismatchError, InputError
+from partialbench.geometry.rotations import haar_rotations
+from renderers.release import ReleasedRows, import_release, read_release
+
+
+def released(folder: Path, rng: np.random.Generator, classes: int = 40) -> dict[str, np.ndarray]:
+    arrays = {}
+    for split, rows in (("train", 7), ("test", 3)):
+        labels = rng.integers(0, classes, rows)
+        labels[0] = classes - 1
+        arrays |= {
+            f"{split}_points": (0.3 * rng.standard_normal((rows, 50, 3)) + 2).astype(np.float32),
+            f"{split}_labels": labels[:, None].astype(np.float64),
+            f"{split}_gt_rot": haar_rotations(rng, rows).astype(np.float32),
+        }
+    write(folder, arrays)
+    return arrays
+
+
+def write(folder: Path, arrays: dict[str, np.ndarray]) -> None:
+    for name, array in arrays.items():
+        np.save(folder / f"{name}.npy", array)
+
+
+def test_every_row_arrives_in_order(tmp_path: Path, rng: np.random.Generator) -> None:
+    arrays = released(tmp_path, rng)
+    manifest = import_release(tmp_path, tmp_path / "out")
+    assert manifest.dataset_id == "pm40-release"
+    assert (manifest.rows("train"), manifest.rows("test")) == (7, 3)
+    assert verify(tmp_path / "out").problems == []
+    for split in ("train", "test"):
+        rows = read_columns(tmp_path / "out" / f"{split}-00000.h5")
+        np.testing.assert_array_equal(rows["label"], arrays[f"{split}_labels"][:, 0])
+        np.testing.assert_allclose(rows["R_camera_object"], arrays[f"{split}_gt_rot"], atol=1e-6)
+        for stored, given in zip(rows["points"], arrays[f"{split}_points"], strict=True):
+            centred = given - given.mean(axis=0, dtype=float)
+            expected = centred / np.linalg.norm(centred, axis=1).max()
+            # A row's points are stored in random order.
+            np.testing.assert_allclose(
+                stored[np.argsort(stored[:, 0])], expected[np.argsort(expected[:, 0])], atol=1e-6
+            )
+        assert (rows["n_visible"] == 50).all()
+
+
+def test_few_labels_mean_ps15(tmp_path: Path, rng: np.random.Generator) -> None:
+    released(tmp_path, rng, classes=15)
+    manifest = import_release(tmp_path, tmp_path / "out")
+    assert manifest.dataset_id == "ps15-release"
+    assert len(manifest.class_names) == 15
+
+
+def test_other_arrays_do_not_continue_a_folder(tmp_path: Path, rng: np.random.Generator) -> None:
+    released(tmp_path, rng)
+    import_release(tmp_path, tmp_path / "out")
+    released(tmp_path, rng)
+    with pytest.raises(ConfigurationMismatchError):
+        import_release(tmp_path, tmp_path / "out")
+
+
+def test_points_are_mapped_not_read(tmp_path: Path, rng: np.random.Generator) -> None:
+    released(tmp_path, rng)
+    assert isinstance(read_release(tmp_path)["train"].points, np.memmap)
+    # Neither does a worker receive them: it opens the files itself.
+    source = ReleasedRows(tmp_path)
+    sent = pickle.dumps(source)
+    assert len(sent) < 500
+    ref = source.objects("test")[1]
+    assert pickle.loads(sent).digest(ref) == source.digest(ref)
+
+
+def test_missing_files_are_named(tmp_path: Path, rng: np.random.Generator) -> None:
+    released(tmp_path, rng)
+    (tmp_path / "test_gt_rot.npy").unlink()
+    with pytest.raises(InputError, match=r"lacks test_gt_rot\.npy; expected the six"):
+        read_release(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("train_points", np.zeros((7, 3, 50)), r"float64 \(7, 3, 50\), expected floats of shape"),
+        ("train_points", np.zeros((7, 50, 3), int), r"int64 \(7, 50, 3\), expected floats"),
+        ("train_labels", np.zeros((7, 2)), r"\(7, 2\), expected \(M,\) or \(M,1\)"),
+        ("train_labels", np.zeros(6), r"counts differ: \{'points': 7, 'labels': 6, 'gt_rot': 7"),
+        ("train_labels", np.full(7, 40), "row 0 has label 40, expected a whole number from 0 to"),
+        ("train_labels", np.full(7, 1.5), r"row 0 has label 1\.5"),
+        ("train_gt_rot", np.zeros((7, 9)), r"\(7, 9\), expected \(M,3,3\)"),
+        ("train_gt_rot", -np.tile(np.eye(3), (7, 1, 1)), "7 of 7 matrices are no rotations"),
+        ("train_gt_rot", 1.01 * np.tile(np.eye(3), (7, 1, 1)), "7 of 7 matrices are no rotations"),
+    ],
+)
+def test_wrong_arrays_are_told(tmp_path, rng, name: str, array, message: str) -> None:
+    arrays = released(tmp_path, rng)
+    write(tmp_path, {**arrays, name: array})
+    with pytest.raises(InputError, match=message):
+        read_release(tmp_path)
+
+
+def test_a_broken_file_is_told(tmp_path: Path, rng: np.random.Generator) -> None:
+    released(tmp_path, rng)
+    (tmp_path / "train_points.npy").write_bytes(b"not an array")
+    with pytest.raises(InputError, match=r"train_points\.npy is not a readable \.npy array"):
+        read_release(tmp_path)
+
+
+def test_a_row_without_extent_is_recorded_and_the_rest_imported(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    arrays = released(tmp_path, rng)
+    arrays["train_points"][2] = 1.0
+    arrays["train_points"][4, 3] = np.nan
+    write(tmp_path, arrays)
+    manifest = import_release(tmp_path, tmp_path / "out")
+    assert manifest.rows("train") == 5
+    assert [f["object_id"] for f in manifest.failures] == ["row_000002", "row_000004"]
