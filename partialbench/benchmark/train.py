@@ -29,7 +29,7 @@ from torch.nn.functional import cross_entropy
 
 from partialbench.benchmark import checkpoint, evaluate, models
 from partialbench.benchmark import recipe as recipes
-from partialbench.benchmark.batches import BatchStream, Clouds
+from partialbench.benchmark.batches import BatchStream, Clouds, Place
 from partialbench.benchmark.prediction import Batch, Prediction
 from partialbench.benchmark.protocol import Protocol
 from partialbench.benchmark.results import describe_data
@@ -211,7 +211,7 @@ def train(
 
     done: dict[str, Any] | None = None
     started = time.perf_counter()
-    loss_seen = torch.zeros((), device=fabric.device)
+    unread: list[Tensor] = []
     with _progress(fabric) as progress:
         bar = progress.add_task(task.model, total=total_steps, loss="")
         while epoch < epochs:
@@ -230,12 +230,12 @@ def train(
                         error_if_nonfinite=False,  # _look says more about it
                     )  # fmt: skip
                 optimizer.step()
-                loss_seen += loss.detach()
+                unread.append(loss.detach())
                 batch_index = place.batch + 1
                 ends_epoch = batch_index == len(stream)
                 wants_save = checkpoint_every is not None and (step + 1) % checkpoint_every == 0
                 if batch_index % CHECK_EVERY == 0 or ends_epoch or wants_save:
-                    loss_sum = _look(fabric, loss_seen, loss_sum, task, place)
+                    loss_sum = _look(fabric, unread, loss_sum, task, place)
                     shown = f"loss {loss_sum / batch_index:.3f}"
                     progress.update(bar, completed=step + 1, loss=shown)
                 if wants_save and not ends_epoch:
@@ -268,19 +268,21 @@ def train(
     return Trained(bare.eval(), history, done)
 
 
-def _look(fabric: Fabric, seen: Tensor, loss_sum: float, task: Task, place: Any) -> float:
-    """The epoch's loss so far with ``seen`` added (and emptied); raises where it is not finite."""
-    mean = fabric.all_reduce(seen, reduce_op="mean")
-    assert isinstance(mean, Tensor)
-    recent = float(mean)
-    seen.zero_()
-    if not math.isfinite(recent):
+def _look(fabric: Fabric, unread: list[Tensor], loss_sum: float, task: Task, place: Place) -> float:
+    """``loss_sum`` with the ``unread`` losses added and the list emptied; each must be finite."""
+    losses = fabric.all_reduce(torch.stack(unread), reduce_op="mean")
+    assert isinstance(losses, Tensor)
+    unread.clear()
+    # One after the other: so the sum does not depend on how often one looks.
+    for loss in losses.tolist():
+        loss_sum += loss
+    if not math.isfinite(loss_sum):
         raise DivergedError(
-            f"the training loss of {task.model} became {recent} in epoch {place.epoch}, within "
+            f"the training loss of {task.model} became {loss_sum} in epoch {place.epoch}, within "
             f"{CHECK_EVERY} steps of step {place.batch}; nothing was saved since the checkpoint "
             f"before. Lower lr (now {task.recipe.lr:g}), set clip_norm, or use full precision"
         )
-    return loss_sum + recent
+    return loss_sum
 
 
 def _to(batch: Batch, device: torch.device) -> Batch:
