@@ -32,7 +32,8 @@ def read_mesh(
         source: the file's content or its path.
         suffix: one of ``SUFFIXES``; taken from the path where it is "".
         up: the file's upward axis. "y" (glTF by its standard, most OBJ) turns y onto z and z onto
-            −y, which keeps the handedness.
+            −y, which keeps the handedness. It alone decides: the axis that a COLLADA file
+            declares is not read.
         name: what errors call the file; the path where it was given one.
 
     Returns:
@@ -54,7 +55,8 @@ def read_mesh(
             raise InputError(f"{name}: cannot be read ({error.strerror})") from error
     suffix = suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(f"{name}: {suffix or 'no'!r} is no mesh suffix of {', '.join(SUFFIXES)}")
+        found = f"the suffix {suffix}" if suffix else "no suffix"
+        raise InputError(f"{name}: has {found}; expected one of {', '.join(SUFFIXES)}")
     if not content.strip():
         raise InputError(f"{name}: the file is empty; expected a mesh ({suffix})")
     mesh = read_off(content, name) if suffix == ".off" else _read_other(content, suffix, name)

@@ -78,7 +78,15 @@ def cast(
     return Cast(exact, grown, shrunk)
 
 
-def _meet(corners, face, row, column, camera, margin, images) -> None:
+def _meet(
+    corners: np.ndarray,
+    face: np.ndarray,
+    row: np.ndarray,
+    column: np.ndarray,
+    camera: Camera,
+    margin: float,
+    images: list[np.ndarray],
+) -> None:
     """Lower each image to the depths at which these (triangle, pixel) pairs meet."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     lines = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)  # (F,3,3)
