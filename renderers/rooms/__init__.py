@@ -1,1 +1,1 @@
-"""Simulated scanned rooms, written in the file formats of ScanNet and Scan2CAD."""
+"""Simulated rooms, scanned and annotated, in ScanNet's and Scan2CAD's own file formats."""

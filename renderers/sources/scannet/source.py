@@ -276,7 +276,7 @@ class ScanNetInstances:
         first = "; ".join(f"{reason} ({n}×)" for reason, n in reasons.most_common(3))
         first = first or "no scene is in either split"
         return (
-            f"no PS15 instance found in {self.scannet_dir} with {self.scan2cad_file.name}: {first}. "
+            f"no PS15 instance in {self.scannet_dir} with {self.scan2cad_file.name}: {first}. "
             f"Expected {self.scannet_dir}/scans/<scene>/<scene>_vh_clean_2.ply and its labels"
         )
 
