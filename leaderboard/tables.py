@@ -1,165 +1,181 @@
-"""Result records → tables. A pure function of the records: the same folder gives the same bytes.
-
-A column is one pair of training and test data under one protocol, by digest: results that differ in
-any of the three never share a column. A row is one model (and variant); its seeds are averaged.
-"""
+"""The board as Markdown, CSV and LaTeX: pure functions, so the same records give the same bytes."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections import defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+import math
 
-import numpy as np
-
+from leaderboard.board import Board, Column, ranked
+from leaderboard.comparison import Comparison
 from partialbench.benchmark.results import Result
 
 
-@dataclass(frozen=True)
-class Cell:
-    """One row's results in one column.
-
-    Attributes:
-        results: one per seed, in seed order.
-    """
-
-    results: tuple[Result, ...]
-
-    @property
-    def seeds(self) -> int:
-        return len(self.results)
-
-    def mean(self, score: str = "accuracy") -> float:
-        """Over seeds."""
-        return float(np.mean([r.scores[score] for r in self.results]))
-
-    def std(self, score: str = "accuracy") -> float | None:
-        """Sample standard deviation over seeds; None for one seed."""
-        if self.seeds < 2:
-            return None
-        return float(np.std([r.scores[score] for r in self.results], ddof=1))
-
-
-@dataclass
-class Column:
-    """What may be compared.
-
-    Attributes:
-        key: ``Result.column``.
-        title: as printed; has digests only where two columns would otherwise read the same.
-        reported: key of the paper's own figures for this pair of data sets ("pm40>ps15"), or "".
-        cells: row name → cell.
-    """
-
-    key: tuple[str, ...]
-    title: str
-    reported: str
-    cells: dict[str, Cell] = field(default_factory=dict)
-
-
-@dataclass
-class Board:
-    """Everything the tables show. ``rows``: row name → the newest result with its card."""
-
-    columns: list[Column]
-    rows: dict[str, Result]
-
-
-def make_board(results: Iterable[Result]) -> Board:
-    """Groups results by row, column and seed."""
-    grouped: dict[tuple[str, ...], dict[str, list[Result]]] = defaultdict(lambda: defaultdict(list))
-    rows: dict[str, Result] = {}
-    for result in sorted(results, key=lambda r: (r.run_name, r.seed)):
-        grouped[result.column][result.row].append(result)
-        rows.setdefault(result.row, result)
-    columns = []
-    for key, cells in grouped.items():
-        first = next(iter(cells.values()))[0]
-        columns.append(
-            Column(
-                key,
-                _title(first),
-                _reported(first),
-                {
-                    row: Cell(tuple(sorted(found, key=lambda r: r.seed)))
-                    for row, found in cells.items()
-                },
-            )
-        )
-    columns.sort(key=lambda column: (column.title, column.key))
-    _tell_apart(columns)
-    return Board(columns, dict(sorted(rows.items())))
-
-
-def as_markdown(board: Board) -> str:
+def as_markdown(board: Board, comparisons: list[Comparison]) -> str:
     """One table for each column, best row first, with the paper's figure where it has one."""
     parts = ["# Leaderboard\n"]
-    for column in board.columns:
-        first = next(iter(column.cells.values())).results[0]
-        train, test = first.train_data, first.test_data
-        parts.append(f"## {column.title}\n")
-        parts.append(
-            f"Trained on {train.clouds:,} clouds of {train.objects:,} objects ({train.id}, "
-            f"{train.digest[:12]}), tested on {first.scores['clouds']:,} clouds of "
-            f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}); protocol "
-            f"{first.protocol['preset']} ({first.protocol_digest[:12]}). Accuracy in %, mean ± "
-            f"standard deviation over seeds.\n"
-        )
-        head = ["model", "input", "accuracy", "over classes", "seeds", "parameters"]
+    for column, comparison in zip(board.columns, comparisons, strict=True):
+        parts += [f"## {column.title}\n", describe(column) + "\n"]
+        head = ["model", "input", "accuracy", "95 % interval", "group", "over classes"]
+        crossed = _crosses(column)
+        if crossed:
+            head.append("shared classes only")
+        posed = any(cell.results[0].scores["pose"] for cell in column.cells.values())
+        if posed:
+            head += ["pose bin", "pose error"]
+        head += ["turned", "parameters", "multiply-adds", "ms a cloud", "seeds"]
         if column.reported:
-            head.append(f"paper, {column.reported.upper().replace('>', ' → ')} (reported)")
+            head.append(f"{reported_name(column)} (reported)")
         lines = [head, ["---"] * len(head)]
         for name in ranked(column):
             cell, result = column.cells[name], column.cells[name].results[0]
+            low, high = comparison.intervals[name]
             line = [
                 row_title(result),
                 result.card["representation"] or "–",
                 percent(cell.mean(), cell.std()),
+                "–" if math.isnan(low) else f"{100 * low:.1f} – {100 * high:.1f}",
+                " ".join(map(str, comparison.groups[name])),
                 percent(cell.mean("class_accuracy"), cell.std("class_accuracy")),
+            ]
+            if crossed:
+                line.append(percent(cell.mean("restricted_accuracy"), None))
+            if posed:
+                pose = result.scores["pose"]
+                line += (
+                    [f"{100 * pose['top_k'][0]:.1f}", f"{pose['median_deg']:.0f}°"]
+                    if pose
+                    else ["–", "–"]
+                )
+            cost = result.cost
+            line += [
+                f"{100 * result.rotation_audit['drift']:.1f}",
+                f"{cost['parameters']:,}",
+                engineering(cost["multiply_adds"]),
+                f"{cost['batch_ms']:.2f}",
                 str(cell.seeds),
-                f"{result.cost['parameters']:,}",
             ]
             if column.reported:
-                paper = result.card["paper_scores"].get(column.reported)
-                line.append("–" if paper is None else f"{paper:.1f}")
+                line.append(reported(column, result))
             lines.append(line)
         parts += ["| " + " | ".join(line) + " |" for line in lines]
         parts.append("")
+    parts.append(LEGEND)
     return "\n".join(parts)
 
 
-def as_csv(board: Board) -> str:
+LEGEND = """\
+Accuracy in %: share of test clouds named rightly, mean ± standard deviation over seeds; the
+interval is over test objects (bootstrap of whole objects). Rows that share a group number cannot be
+told apart (paired test over objects, Holm's correction, 5 %). Over classes: mean of the per-class
+accuracies. Pose bin: share of clouds whose best of the 60 bins is the true one under symmetry; pose
+error: median angle to the truth modulo symmetry. Turned: how far the logits move when a cloud is
+turned, in % of their size (0 = invariant). Multiply-adds and milliseconds are of the forward pass
+for one cloud (on the hardware of each record). Reported figures are the paper's own, on its data.
+"""
+
+
+def describe(column: Column) -> str:
+    """What every row of the column was trained and tested on, in one sentence."""
+    first = next(iter(column.cells.values())).results[0]
+    train, test = first.train_data, first.test_data
+    return (
+        f"Trained on {train.clouds:,} clouds of {train.objects:,} objects ({train.id}, "
+        f"{train.digest[:12]}), tested on {first.scores['clouds']:,} clouds of "
+        f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}); protocol "
+        f"{first.protocol['preset']} ({first.protocol_digest[:12]})."
+    )
+
+
+def as_csv(board: Board, comparisons: list[Comparison]) -> str:
     """One line for each row and column, every score as a number."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["model", "variant", "train_data", "train_digest", "test_data", "test_digest", "preset",
-         "protocol_digest", "seeds", "accuracy", "accuracy_std", "class_accuracy",
-         "restricted_accuracy", "calibration_error", "parameters", "paper_reported"]
+         "protocol_digest", "seeds", "accuracy", "accuracy_std", "interval_low", "interval_high",
+         "groups", "class_accuracy", "restricted_accuracy", "calibration_error", "pose_top1",
+         "pose_top5", "pose_median_deg", "pose_within_30", "rotation_drift", "parameters",
+         "multiply_adds", "latency_ms", "batch_ms", "train_clouds_per_second",
+         "peak_memory_bytes", "paper_reported"]
     )  # fmt: skip
-    for column in board.columns:
+    for column, comparison in zip(board.columns, comparisons, strict=True):
         for name in ranked(column):
             cell = column.cells[name]
-            first = cell.results[0]
+            first, std = cell.results[0], cell.std()
+            low, high = comparison.intervals[name]
+            pose = first.scores["pose"]
+            posed = (
+                [pose["top_k"][0], pose["top_k"][4], pose["median_deg"], pose["within_30"]]
+                if pose
+                else [None] * 4
+            )
             paper = first.card["paper_scores"].get(column.reported)
-            std = cell.std()
+            line = [
+                first.model, first.variant, first.train_data.id, first.train_data.digest,
+                first.test_data.id, first.test_data.digest, first.protocol["preset"],
+                first.protocol_digest, cell.seeds, cell.mean(), std,
+                None if math.isnan(low) else low, None if math.isnan(high) else high,
+                " ".join(map(str, comparison.groups[name])), cell.mean("class_accuracy"),
+                cell.mean("restricted_accuracy"), cell.mean("calibration_error"), *posed,
+                first.rotation_audit["drift"], first.cost["parameters"],
+                first.cost["multiply_adds"], first.cost["latency_ms"], first.cost["batch_ms"],
+                first.training["clouds_per_second"], first.cost["peak_memory_bytes"],
+                None if paper is None else paper / 100,
+            ]  # fmt: skip
             writer.writerow(
-                [first.model, first.variant, first.train_data.id, first.train_data.digest,
-                 first.test_data.id, first.test_data.digest, first.protocol["preset"],
-                 first.protocol_digest, cell.seeds, f"{cell.mean():.6f}",
-                 "" if std is None else f"{std:.6f}", f"{cell.mean('class_accuracy'):.6f}",
-                 f"{cell.mean('restricted_accuracy'):.6f}",
-                 f"{cell.mean('calibration_error'):.6f}", first.cost["parameters"],
-                 "" if paper is None else f"{paper / 100:.4f}"]
-            )  # fmt: skip
+                ["" if v is None else f"{v:.6f}" if isinstance(v, float) else v for v in line]
+            )
     return text.getvalue()
 
 
-def ranked(column: Column) -> list[str]:
-    """Row names, best accuracy first; equals by name."""
-    return sorted(column.cells, key=lambda name: (-column.cells[name].mean(), name))
+def as_latex(board: Board, comparisons: list[Comparison]) -> str:
+    """A document that compiles alone: one booktabs table for each column, in the paper's style."""
+    parts = [
+        r"\documentclass{article}", r"\usepackage[T1]{fontenc}", r"\usepackage[utf8]{inputenc}",
+        r"\usepackage{booktabs,graphicx}", r"\begin{document}",
+    ]  # fmt: skip
+    for column, comparison in zip(board.columns, comparisons, strict=True):
+        head = ["Methods", "Input (Size)", "Accuracy (\\%)", "95\\% interval", "Group"]
+        if column.reported:
+            head.append(f"{escape(reported_name(column))} (reported)")
+        parts += [
+            r"\begin{table}[t]",
+            rf"\caption{{{escape(column.title)}. {escape(describe(column))}}}",
+            r"\centering", r"\resizebox{\columnwidth}{!}{",
+            rf"\begin{{tabular}}{{ll{'c' * (len(head) - 2)}}}", r"\toprule",
+            " & ".join(head) + r" \\", r"\midrule",
+        ]  # fmt: skip
+        best = ranked(column)[0]
+        for name in ranked(column):
+            cell, result = column.cells[name], column.cells[name].results[0]
+            low, high = comparison.intervals[name]
+            shown = percent(cell.mean(), cell.std()).replace("±", r"$\pm$")
+            line = [
+                escape(row_title(result)),
+                escape(result.card["representation"]) or "--",
+                rf"\textbf{{{shown}}}" if name == best else shown,
+                "--" if math.isnan(low) else f"{100 * low:.1f}--{100 * high:.1f}",
+                " ".join(map(str, comparison.groups[name])),
+            ]
+            if column.reported:
+                line.append(reported(column, result).replace("–", "--"))
+            parts.append(" & ".join(line) + r" \\")
+        parts += [r"\bottomrule", r"\end{tabular}}", r"\end{table}"]
+    return "\n".join([*parts, r"\end{document}", ""])
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
+    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "×": r"$\times$", "→": r"$\rightarrow$", "–": "--", "±": r"$\pm$", "²": r"$^2$",
+    "³": r"$^3$", "δ": r"$\delta$",
+}  # fmt: skip
+
+
+def escape(text: str) -> str:
+    """Text with what LaTeX would misread replaced."""
+    return "".join(_LATEX.get(character, character) for character in text)
 
 
 def row_title(result: Result) -> str:
@@ -168,33 +184,30 @@ def row_title(result: Result) -> str:
     return f"{title} [{result.variant}]" if result.variant else title
 
 
+def reported_name(column: Column) -> str:
+    """What the paper's figures are on."""
+    return "paper, " + column.reported.upper().replace(">", " → ")
+
+
+def reported(column: Column, result: Result) -> str:
+    """The paper's figure for this row and pair of data sets, in %."""
+    figure = result.card["paper_scores"].get(column.reported)
+    return "–" if figure is None else f"{figure:.1f}"
+
+
 def percent(mean: float, std: float | None) -> str:
     """A share as "83.5" or "83.5 ± 0.4"."""
     return f"{100 * mean:.1f}" if std is None else f"{100 * mean:.1f} ± {100 * std:.1f}"
 
 
-def _title(result: Result) -> str:
-    train, test = result.train_data, result.test_data
-    sets = train.id if train.id == test.id else f"{train.id} → {test.id}"
-    setting = train.setting if train.setting == test.setting else (
-        f"{train.setting} → {test.setting}"
-    )  # fmt: skip
-    return f"{sets}, {setting}, {result.protocol['preset']}"
+def engineering(count: float) -> str:
+    """1_234_567 as "1.2 M"."""
+    for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count:.0f}"
 
 
-def _reported(result: Result) -> str:
-    """The paper's own name of the pair, by kind of data: its PM40 is our pm40 in every source."""
-    data = (result.train_data, result.test_data)
-    ids = [d.id.partition("-")[0] for d in data]
-    if not set(ids) <= {"pm40", "ps15"} or any(d.setting != "partial" for d in data):
-        return ""
-    return ids[0] if ids[0] == ids[1] else ">".join(ids)
-
-
-def _tell_apart(columns: list[Column]) -> None:
-    """Adds to equal titles the first digest digits in which they differ."""
-    titles = [column.title for column in columns]
-    for column in columns:
-        if titles.count(column.title) > 1:
-            digests = (column.key[2], column.key[5], column.key[6])
-            column.title += " (" + " ".join(digest[:6] for digest in digests) + ")"
+def _crosses(column: Column) -> bool:
+    first = next(iter(column.cells.values())).results[0]
+    return set(first.train_data.class_names) != set(first.test_data.class_names)

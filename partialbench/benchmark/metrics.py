@@ -133,6 +133,24 @@ def by_visibility(
     ]
 
 
+def shared_clouds(
+    predictions: Predictions, model_classes: Sequence[str], test_classes: Sequence[str]
+) -> tuple[Predictions, NDArray[np.int64]]:
+    """The clouds whose class the model knows, by name, and their labels among *its* classes.
+
+    Raises:
+        ValueError: there is none.
+    """
+    names = list(model_classes)
+    to_model = np.array([names.index(c) if c in names else -1 for c in test_classes])
+    label = to_model[predictions.labels]
+    if not (label >= 0).any():
+        raise ValueError(
+            f"no test cloud has a class the model knows: {list(test_classes)} against {names}"
+        )
+    return predictions.select(label >= 0), label[label >= 0]
+
+
 def scores(
     predictions: Predictions, model_classes: Sequence[str], test_classes: Sequence[str]
 ) -> dict[str, Any]:
@@ -144,15 +162,9 @@ def scores(
     with a shared class. With equal classes the two are the same.
     """
     names = list(model_classes)
-    to_model = np.array([names.index(c) if c in names else -1 for c in test_classes])
-    label = to_model[predictions.labels]
-    if not (label >= 0).any():
-        raise ValueError(
-            f"no test cloud has a class the model knows: {list(test_classes)} against {names}"
-        )
-    p, label = predictions.select(label >= 0), label[label >= 0]
+    p, label = shared_clouds(predictions, names, test_classes)
     predicted = p.predicted.astype(np.int64)
-    shared = np.isin(np.arange(len(names)), to_model)
+    shared = np.isin(names, test_classes)
     probable = p.log_probabilities.astype(np.float64)
     confidence = np.exp(np.take_along_axis(probable, predicted[:, None], axis=1)[:, 0])
     restricted = np.where(shared, probable, -np.inf).argmax(axis=1)

@@ -64,7 +64,7 @@ class Result:
         protocol, protocol_digest: what the run shares with the others of its column.
         train_data, test_data: see ``DataRecord``.
         training: epochs, steps, clouds seen, seconds, clouds per second, last row of the log.
-        cost: parameters and, where measured, multiply-adds, milliseconds, memory.
+        cost: see ``audit.cost``. rotation_audit: see there.
         environment: hardware, package versions, git commit (None outside a checkout).
         predictions_file, predictions_sha256: beside the record.
         scores: what ``metrics.scores`` makes of the stored predictions.
@@ -82,6 +82,7 @@ class Result:
     seed: int
     training: dict[str, Any]
     cost: dict[str, Any]
+    rotation_audit: dict[str, Any]
     environment: dict[str, Any]
     predictions_file: str
     predictions_sha256: str
@@ -102,10 +103,14 @@ class Result:
         )  # fmt: skip
 
     @property
+    def identity(self) -> tuple[object, ...]:
+        """Two results with the same one record the same run."""
+        return (self.row, *self.column, self.seed)
+
+    @property
     def run_name(self) -> str:
         """File name stem: the same run writes the same file."""
-        identity = json.dumps([self.row, *self.column, self.seed])
-        short = hashlib.sha256(identity.encode()).hexdigest()[:8]
+        short = hashlib.sha256(json.dumps(self.identity).encode()).hexdigest()[:8]
         parts = [self.row, self.train_data.id]
         if self.test_data.id != self.train_data.id:
             parts.append(f"on-{self.test_data.id}")
@@ -202,16 +207,17 @@ def read_folder(folder: Path) -> list[Result]:
     """
     if not folder.is_dir():
         raise InputError(f"no results folder at {folder}")
-    found: dict[tuple[Any, ...], Path] = {}
+    found: dict[tuple[object, ...], Path] = {}
     results = []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         result = read(path)
-        key = (result.row, *result.column, result.seed)
-        if key in found:
-            raise InputError(
-                f"{path} and {found[key]} record the same run ({result.row}, seed {result.seed}); "
-                f"delete one"
-            )
-        found[key] = path
+        if result.identity in found:
+            raise InputError(duplicate_message(path, found[result.identity], result))
+        found[result.identity] = path
         results.append(result)
     return results
+
+
+def duplicate_message(path: Path, other: Path, result: Result) -> str:
+    """What to say of two records of one run."""
+    return f"{path} and {other} record the same run ({result.row}, seed {result.seed}); delete one"

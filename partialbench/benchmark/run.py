@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,15 @@ import torch
 from lightning.fabric import Fabric
 from torch import nn
 
-from partialbench.benchmark import checkpoint, environment, evaluate, metrics, models, results
+from partialbench.benchmark import (
+    audit,
+    checkpoint,
+    environment,
+    evaluate,
+    metrics,
+    models,
+    results,
+)
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import Clouds
@@ -100,10 +108,7 @@ def run_eval(
         trained = train(task, fabric, folder, resume, checkpoint_every)
         if fabric.is_global_zero:
             content = checkpoint.load(folder / "checkpoint.pt")
-            written += [
-                _test(content, trained.model, test_set, fabric, results_folder)
-                for test_set in test_sets
-            ]
+            written += _test_all(content, trained.model, test_sets, fabric, results_folder)
         fabric.barrier()
     return written
 
@@ -137,16 +142,37 @@ def run_folder(task: Task) -> str:
     return f"{name}_{data}_{kind}_seed{task.seed}"
 
 
+def _test_all(
+    content: Mapping[str, Any],
+    model: nn.Module,
+    test_sets: Sequence[Clouds],
+    fabric: Fabric,
+    folder: Path,
+) -> list[Result]:
+    """Tests a finished checkpoint's model on each test set; cost and audit are measured once."""
+    device, num_classes = fabric.device, len(content["class_names"])
+    model = model.to(device)
+    cost = audit.cost(model, test_sets[0], device)
+    turned = audit.rotation_audit(model, test_sets[0], num_classes, device)
+    return [_test(content, model, test_set, fabric, folder, cost, turned) for test_set in test_sets]
+
+
 def _test(
-    content: Mapping[str, Any], model: nn.Module, test_set: Clouds, fabric: Fabric, folder: Path
+    content: Mapping[str, Any],
+    model: nn.Module,
+    test_set: Clouds,
+    fabric: Fabric,
+    folder: Path,
+    cost: dict[str, Any],
+    rotation_audit: dict[str, Any],
 ) -> Result:
-    """Tests a finished checkpoint's model on one test split; the record as its file has it."""
+    """Tests on one test split and writes the record; returns it as its file has it."""
     protocol = protocols.from_dict(content["protocol"])
     card = models.card_of(content["model"])
     recipe, train_data = content["recipe"], DataRecord(**content["train_data"])
     rows = balanced_subset(np.arange(len(test_set)), test_set.labels, protocol.max_test_clouds)
     predictions = evaluate.predict_rows(
-        model.to(fabric.device), test_set, rows, len(train_data.class_names), fabric.device
+        model, test_set, rows, len(train_data.class_names), fabric.device
     )
     result = Result(
         model=card.name,
@@ -160,7 +186,8 @@ def _test(
         test_data=results.describe_data(test_set, rows),
         seed=content["seed"],
         training=content["summary"],
-        cost={"parameters": models.num_parameters(model)},
+        cost=cost,
+        rotation_audit=rotation_audit,
         environment=environment.describe(
             fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
         ),
@@ -188,7 +215,7 @@ def _test_checkpoint(
     test_sets = [ShardDataset(test, "test", content["num_points"]) for test in tests]
     for test_set in test_sets:
         _require_shared_class(tuple(content["class_names"]), test_set)
-    return [_test(content, model, test_set, fabric, folder) for test_set in test_sets]
+    return _test_all(content, model, test_sets, fabric, folder)
 
 
 def _card_as_dict(card: ModelCard) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from partialbench.benchmark import checkpoint, evaluate, models
+from partialbench.benchmark import audit, checkpoint, evaluate, models
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import BatchStream, Clouds, Place
 from partialbench.benchmark.prediction import Batch, Prediction
@@ -92,7 +92,8 @@ class Trained:
     Attributes:
         history: one row an epoch, as in log.csv.
         summary: epochs, steps, clouds seen, seconds (wall time of all its parts, interruptions not
-            counted), median clouds per second, the last epoch's loss and validation accuracy.
+            counted), median clouds per second, the last epoch's loss and validation accuracy, peak
+            memory.
     """
 
     model: nn.Module
@@ -193,6 +194,7 @@ def train(
             "clouds_per_second": float(np.median([r["clouds_per_second"] for r in history])),
             "train_loss": history[-1]["train_loss"],
             "validation_accuracy": history[-1]["validation_accuracy"],
+            "peak_memory_bytes": audit.peak_memory_bytes(fabric.device),
         }
 
     def save() -> None:

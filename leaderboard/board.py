@@ -1,0 +1,123 @@
+"""Result records grouped for comparison: columns of equal data and protocol, rows of one model.
+
+A column is one pair of training and test data under one protocol, by digest: results that differ in
+any of the three never share a column. A row is one model (and variant); its seeds are averaged.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from partialbench.benchmark.results import Result
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One row's results in one column.
+
+    Attributes:
+        results: one per seed, in seed order.
+    """
+
+    results: tuple[Result, ...]
+
+    @property
+    def seeds(self) -> int:
+        return len(self.results)
+
+    def mean(self, score: str = "accuracy") -> float:
+        """Over seeds."""
+        return float(np.mean([r.scores[score] for r in self.results]))
+
+    def std(self, score: str = "accuracy") -> float | None:
+        """Sample standard deviation over seeds; None for one seed."""
+        if self.seeds < 2:
+            return None
+        return float(np.std([r.scores[score] for r in self.results], ddof=1))
+
+
+@dataclass
+class Column:
+    """What may be compared.
+
+    Attributes:
+        key: ``Result.column``.
+        title: as printed; has digests only where two columns would otherwise read the same.
+        reported: key of the paper's own figures for this pair of data sets ("pm40>ps15"), or "".
+        cells: row name → cell.
+    """
+
+    key: tuple[str, ...]
+    title: str
+    reported: str
+    cells: dict[str, Cell] = field(default_factory=dict)
+
+
+@dataclass
+class Board:
+    """Everything the tables show. ``rows``: row name → the newest result with its card."""
+
+    columns: list[Column]
+    rows: dict[str, Result]
+
+
+def make_board(results: Iterable[Result]) -> Board:
+    """Groups results by row, column and seed."""
+    grouped: dict[tuple[str, ...], dict[str, list[Result]]] = defaultdict(lambda: defaultdict(list))
+    rows: dict[str, Result] = {}
+    for result in sorted(results, key=lambda r: (r.run_name, r.seed)):
+        grouped[result.column][result.row].append(result)
+        rows.setdefault(result.row, result)
+    columns = []
+    for key, cells in grouped.items():
+        first = next(iter(cells.values()))[0]
+        columns.append(
+            Column(
+                key,
+                _title(first),
+                _reported(first),
+                {
+                    row: Cell(tuple(sorted(found, key=lambda r: r.seed)))
+                    for row, found in cells.items()
+                },
+            )
+        )
+    columns.sort(key=lambda column: (column.title, column.key))
+    _tell_apart(columns)
+    return Board(columns, dict(sorted(rows.items())))
+
+
+def ranked(column: Column) -> list[str]:
+    """Row names, best accuracy first; equals by name."""
+    return sorted(column.cells, key=lambda name: (-column.cells[name].mean(), name))
+
+
+def _title(result: Result) -> str:
+    train, test = result.train_data, result.test_data
+    sets = train.id if train.id == test.id else f"{train.id} → {test.id}"
+    setting = train.setting if train.setting == test.setting else (
+        f"{train.setting} → {test.setting}"
+    )  # fmt: skip
+    return f"{sets}, {setting}, {result.protocol['preset']}"
+
+
+def _reported(result: Result) -> str:
+    """The paper's own name of the pair, by kind of data: its PM40 is our pm40 in every source."""
+    data = (result.train_data, result.test_data)
+    ids = [d.id.partition("-")[0] for d in data]
+    if not set(ids) <= {"pm40", "ps15"} or any(d.setting != "partial" for d in data):
+        return ""
+    return ids[0] if ids[0] == ids[1] else ">".join(ids)
+
+
+def _tell_apart(columns: list[Column]) -> None:
+    """Adds to equal titles the first digest digits in which they differ."""
+    titles = [column.title for column in columns]
+    for column in columns:
+        if titles.count(column.title) > 1:
+            digests = (column.key[2], column.key[5], column.key[6])
+            column.title += " (" + " ".join(digest[:6] for digest in digests) + ")"

@@ -1,0 +1,61 @@
+"""Whether a folder of records can be trusted: everything that is wrong, at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from partialbench.benchmark import metrics, results
+from partialbench.benchmark.results import SUFFIX, Result
+from partialbench.errors import InputError
+
+
+def problems(folder: Path, recompute: bool = True) -> list[str]:
+    """One sentence for each thing that is wrong with the records of ``folder``; empty when sound.
+
+    Found are: records that are unreadable, incomplete or edited after they were written; prediction
+    files that are missing or not their record's; two records of one run; prediction files that
+    belong to no record; and, with ``recompute``, scores that the stored predictions do not give.
+    """
+    if not folder.is_dir():
+        return [f"no results folder at {folder}"]
+    found: list[str] = []
+    seen: dict[tuple[object, ...], Path] = {}
+    named: set[str] = set()
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        try:
+            result = results.read(path)
+        except InputError as error:
+            found.append(str(error))
+            # Its predictions are not to be called orphans because of that.
+            named.add(path.name.removesuffix(SUFFIX) + ".predictions.npz")
+            continue
+        named.add(result.predictions_file)
+        if result.identity in seen:
+            found.append(results.duplicate_message(path, seen[result.identity], result))
+        seen.setdefault(result.identity, path)
+        found += _predictions_problems(folder, path, result, recompute)
+    found += [
+        f"{path} belongs to no record; delete it"
+        for path in sorted(folder.glob("*.predictions.npz"))
+        if path.name not in named
+    ]
+    return found
+
+
+def _predictions_problems(folder: Path, path: Path, result: Result, recompute: bool) -> list[str]:
+    try:
+        predictions = results.read_predictions(folder, result)
+    except InputError as error:
+        return [str(error)]
+    if not recompute:
+        return []
+    scores = metrics.scores(
+        predictions, result.train_data.class_names, result.test_data.class_names
+    )
+    wrong = [name for name in scores if scores[name] != result.scores.get(name)]
+    if not wrong:
+        return []
+    return [
+        f"{path}: the stored predictions give another {', '.join(wrong)} than the record says "
+        f"(accuracy {scores['accuracy']:.4f}, recorded {result.scores.get('accuracy')})"
+    ]

@@ -1,0 +1,95 @@
+"""Within a column: how sure each row's accuracy is, and which rows cannot be told apart."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leaderboard.board import Column, ranked
+from partialbench.benchmark import results
+from partialbench.benchmark.metrics import shared_clouds
+from partialbench.benchmark.results import Result
+from partialbench.benchmark.uncertainty import (
+    bootstrap_intervals,
+    holm,
+    indistinguishable_groups,
+    paired_p_values,
+)
+from partialbench.errors import InputError
+
+LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What a column's predictions say beyond its scores.
+
+    Attributes:
+        intervals: row → 95 % interval of the seed-averaged accuracy, bootstrap over objects; NaN
+            bounds where the test set is a single object.
+        groups: row → numbers, from 1, of the groups it is in: two rows that share none differ at
+            the level 0.05 (paired test over objects, Holm over all pairs of the column).
+        p_values: (row, row) in rank order → Holm-adjusted p.
+    """
+
+    intervals: dict[str, tuple[float, float]]
+    groups: dict[str, list[int]]
+    p_values: dict[tuple[str, str], float]
+
+
+def compare(column: Column, folder: Path) -> Comparison:
+    """Reads the column's predictions in ``folder`` and compares its rows.
+
+    Raises:
+        InputError: a prediction file is missing or not its record's, or two results of the column
+            were not tested on the same clouds.
+    """
+    names = ranked(column)
+    values, object_ids = _correct(column, names, folder)
+    bounds = bootstrap_intervals(values, object_ids)
+    raw = paired_p_values(values, object_ids)
+    first, second = np.triu_indices(len(names), 1)
+    adjusted = holm(raw[first, second].tolist())
+    different = np.zeros(raw.shape, bool)
+    different[first, second] = different[second, first] = np.array(adjusted) <= LEVEL
+    groups = indistinguishable_groups(different)
+    return Comparison(
+        intervals={n: (float(b[0]), float(b[1])) for n, b in zip(names, bounds, strict=True)},
+        groups={
+            name: [g + 1 for g, group in enumerate(groups) if i in group]
+            for i, name in enumerate(names)
+        },
+        p_values={(names[i], names[j]): p for i, j, p in zip(first, second, adjusted, strict=True)},
+    )
+
+
+def correct(result: Result, folder: Path) -> tuple[NDArray, NDArray, NDArray]:
+    """Of a result's counted clouds: row numbers, object ids, and whether the class is right."""
+    stored = results.read_predictions(folder, result)
+    predictions, label = shared_clouds(
+        stored, result.train_data.class_names, result.test_data.class_names
+    )
+    return predictions.rows, predictions.object_ids, predictions.predicted == label
+
+
+def _correct(column: Column, names: list[str], folder: Path) -> tuple[NDArray, NDArray]:
+    """(M,R) share of seeds that are right for each cloud and row, and the clouds' object ids."""
+    values, reference = [], None
+    for name in names:
+        seeds = []
+        for result in column.cells[name].results:
+            rows, object_ids, right = correct(result, folder)
+            if reference is None:
+                reference = (rows, object_ids)
+            elif not np.array_equal(reference[0], rows):
+                raise InputError(
+                    f"{result.row}, seed {result.seed}, was not tested on the same clouds as the "
+                    f"others of {column.title!r}; run it again"
+                )
+            seeds.append(right)
+        values.append(np.mean(seeds, axis=0))
+    assert reference is not None, "a column has at least one result"
+    return np.stack(values, axis=1), reference[1]
