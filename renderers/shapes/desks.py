@@ -129,8 +129,9 @@ def desk(p: Draw) -> Iterable[Solid]:
         x = (-d / 2 - reach, -d / 2)
         yield box(x, d * 0.8, (under, h)).at(0, at_y)
         if p.chance(0.5):
-            y = (at_y - d * 0.36, at_y + d * 0.36)
-            yield _pedestal(p, (x[0] + 0.02, x[0] + block + 0.1), y, (p.clearance, under), hollow)
+            across = (at_y - d * 0.36, at_y + d * 0.36)
+            end = (x[0] + 0.02, x[0] + block + 0.1)
+            yield _pedestal(p, end, across, (p.clearance, under), hollow)
         else:
             yield both(box(p.panel, d * 0.76, (0, under)), "y").at(x[0] + p.panel, at_y)
         yield box(x, p.panel, (under * (1 - p.modesty), under)).at(0, side * (w / 2 - p.panel))

@@ -116,8 +116,9 @@ def finish(solid: Solid) -> trimesh.Trimesh:
     faces = _with_area(vertices, solid.faces, GRID * np.ptp(vertices, axis=0).max())
     corners = vertices[np.unique(faces)]
     centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    vertices = (vertices - centre) / np.linalg.norm(corners - centre, axis=1).max()
-    vertices = np.round(vertices / GRID) * GRID
+    radius = np.linalg.norm(corners - centre, axis=1).max()
+    # A cell short of 1, so that rounding does not carry a vertex out of the unit ball.
+    vertices = np.round((vertices - centre) * ((1 - GRID) / radius / GRID)) * GRID
     faces = _with_area(vertices, faces, GRID)
     while len(faces) < MIN_FACES:
         finer = Solid(vertices, faces).subdivided()

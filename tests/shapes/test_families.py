@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import cKDTree
 
 from partialbench.dataset.categories import MODELNET40
@@ -22,7 +24,7 @@ OBJECTS = range(24)
 EVERY = pytest.mark.parametrize("name", FAMILIES)
 
 
-def sample(mesh, count: int, rng: np.random.Generator) -> np.ndarray:
+def sample(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> np.ndarray:
     """Points drawn uniformly from the surface."""
     area = mesh.area_faces
     chosen = mesh.triangles[rng.choice(len(area), count, p=area / area.sum())]
@@ -46,7 +48,7 @@ def test_meshes_are_valid_and_normalised(name: str) -> None:
         assert mesh.area_faces.min() > 0, where
         assert len(np.unique(mesh.faces)) == len(mesh.vertices), where
         np.testing.assert_allclose(mesh.bounds.sum(axis=0), 0, atol=4 * GRID, err_msg=where)
-        assert np.linalg.norm(mesh.vertices, axis=1).max() == pytest.approx(1, abs=4 * GRID), where
+        assert 1 - 4 * GRID < np.linalg.norm(mesh.vertices, axis=1).max() <= 1, where
         np.testing.assert_array_equal(mesh.vertices, mesh.vertices.astype(np.float32))
 
 
@@ -97,7 +99,7 @@ def test_every_parameter_shapes_some_object(name: str) -> None:
         draw = family.draw(index)
         state = draw.rng.bit_generator.state
 
-        def built(values: dict[str, float], draw: Draw = draw, state=state) -> bytes:
+        def built(values: dict[str, float], draw: Draw = draw, state: Any = state) -> bytes:
             draw.rng.bit_generator.state = state
             return finish(join(family.build(replace(draw, values=values)))).vertices.tobytes()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import trimesh
@@ -95,7 +97,9 @@ def test_an_inside_out_solid_would_fail() -> None:
                2 * np.pi**2 * 0.04),
     lambda n: (revolve([(0, 0), (1, 0), (0, 2)], n), 2 / 3 * np.pi),
 ])  # fmt: skip
-def test_round_solids_converge_on_the_smooth_volume(make) -> None:
+def test_round_solids_converge_on_the_smooth_volume(
+    make: Callable[[int], tuple[Solid, float]],
+) -> None:
     """Halving the facets' size divides the error by about four."""
     errors = []
     for n in (32, 64):

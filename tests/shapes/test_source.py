@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -19,7 +21,7 @@ def test_official_counts() -> None:
     assert np.sum(list(MODELNET40_COUNTS.values()), axis=0).tolist() == [9843, 2468]
 
 
-def test_official_counts_agree_with_the_real_training_set(shared) -> None:
+def test_official_counts_agree_with_the_real_training_set(shared: Path) -> None:
     path = shared / "data" / "modelnet40_aligned_1024.h5"
     if not path.exists():
         pytest.skip(f"no {path.name} in the real data")
@@ -62,7 +64,7 @@ def test_a_seed_is_another_data_set() -> None:
 
 
 @pytest.mark.parametrize("counts", ["modelnet", (1,), (-1, 2), (1.5, 2), 3, (2_000_000, 1)])
-def test_bad_counts_are_refused(counts) -> None:
+def test_bad_counts_are_refused(counts: Any) -> None:
     with pytest.raises(InputError, match="counts is"):
         ParametricShapes(counts)
 

@@ -1,0 +1,68 @@
+"""The families as files and as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from partialbench.errors import InputError
+from renderers.shapes.contact_sheet import draw
+from renderers.shapes.export import export_tree
+from renderers.shapes.family import GRID
+from renderers.shapes.source import ParametricShapes
+
+
+def test_the_tree_is_modelnet40s_and_holds_the_sources_objects(tmp_path: Path) -> None:
+    written = export_tree(tmp_path, (2, 1), ("off", "obj", "glb"), ["chair", "cone"], seed=3)
+    assert written == 2 * 3 * 3
+    found = sorted(str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*.off"))
+    assert found == [
+        "chair/test/chair_0003.off", "chair/train/chair_0001.off", "chair/train/chair_0002.off",
+        "cone/test/cone_0003.off", "cone/train/cone_0001.off", "cone/train/cone_0002.off",
+    ]  # fmt: skip
+    source = ParametricShapes((2, 1), seed=3)
+    for split in source.splits():
+        for ref in source.objects(split):
+            name = source.class_names[ref.label]
+            if name not in ("chair", "cone"):
+                continue
+            mesh = source.load(ref)
+            path = tmp_path / name / split / ref.object_id
+            for suffix in ("off", "obj", "glb"):
+                read = trimesh.load_mesh(path.with_suffix(f".{suffix}"), process=False)
+                vertices = np.array(read.vertices)
+                if suffix == "glb":  # y up: undo, then z is up again
+                    vertices = vertices[:, [0, 2, 1]] * (1, -1, 1)
+                corners = vertices[read.faces]
+                # far closer than the grid they lie on
+                np.testing.assert_allclose(corners, mesh.triangles, atol=GRID / 100)
+
+
+def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+    for arguments, message in (
+        (((1, 1), ("stl",)), "'stl'.*off, obj, glb"),
+        (((1, 1), ("off",), ["chare"]), "did you mean chair"),
+        (("many",), "counts is 'many'"),
+    ):
+        with pytest.raises(InputError, match=message):
+            export_tree(tmp_path / "tree", *arguments)
+    assert not (tmp_path / "tree").exists()
+
+
+@pytest.mark.slow
+def test_the_contact_sheet_shows_every_cell(tmp_path: Path) -> None:
+    import matplotlib.image
+
+    path = draw(tmp_path / "sheet.png", instances=1, columns=8, pixels=40, samples=2)
+    image = matplotlib.image.imread(path)[..., :3]
+    height, width = image.shape[:2]
+    assert width == 8 * 40
+    for row in range(5):
+        for column in range(8):
+            cell = image[
+                row * height // 5 : (row + 1) * height // 5, column * 40 : column * 40 + 40
+            ]
+            assert 0.02 < (cell.mean(axis=-1) < 0.9).mean() < 0.9
