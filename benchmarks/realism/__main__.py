@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -27,11 +28,18 @@ PER_CLASS = Annotated[int, typer.Option(help="Parametric objects a class.")]
 OUT = Annotated[Path, typer.Option(help="Folder to write to.")]
 
 
+class Kind(StrEnum):
+    """Where clouds come from."""
+
+    PARAMETRIC = "parametric"
+    REAL = "real"
+
+
 @app.command()
-def occupancy(real_file: REAL, out: OUT, cache: CACHE,
-              per_class: PER_CLASS = 200) -> None:  # fmt: skip
+def occupancy(real_file: REAL, out: OUT, cache: CACHE, per_class: PER_CLASS = 200) -> None:
     """Draw mean occupancy of real train clouds beside parametric ones, one picture a class."""
-    overlaps = occupancies.draw(real(real_file, "train"), parametric(cache, per_class), out)
+    made = parametric(cache, range(per_class))
+    overlaps = occupancies.draw(real(real_file, "train"), made, out)
     for name, value in sorted(overlaps.items(), key=lambda item: item[1]):
         typer.echo(f"{value:.2f}  {name}")
 
@@ -40,7 +48,8 @@ def occupancy(real_file: REAL, out: OUT, cache: CACHE,
 def classify(
     real_file: REAL,
     cache: CACHE,
-    reverse: Annotated[bool, typer.Option(help="Train on real, test on parametric.")] = False,
+    train_on: Annotated[Kind, typer.Option("--train")] = Kind.PARAMETRIC,
+    test_on: Annotated[Kind, typer.Option("--test")] = Kind.REAL,
     final: Annotated[
         bool, typer.Option(help="Test on the real test split, which tuning must not read.")
     ] = False,
@@ -49,26 +58,31 @@ def classify(
     seed: int = 0,
     out: Annotated[Path | None, typer.Option(help="Write the confusion matrix here (csv).")] = None,
 ) -> None:
-    """Train a PointNet on one kind of cloud and test it on the other."""
-    if reverse and final:
-        raise typer.BadParameter("--reverse trains on real train clouds: it has no --final")
+    """Train a PointNet on one kind of cloud and test it on the other, or on the same.
+
+    Trained and tested on one kind it sees different objects of it: how hard the classes are.
+    """
+    if final and test_on is not Kind.REAL:
+        raise typer.BadParameter("--final is about real clouds: give --test real")
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     torch.set_num_threads(1)
-    made = parametric(cache, per_class)
-    classes = np.unique(made.labels).tolist()
-    known = real(real_file, "test" if final else "train").only(classes)
-    if reverse:
-        training, test = known.stratified(per_class, generator(seed, "realism", "train")), made
+    kept = real(real_file, "train")
+    if train_on is test_on is Kind.REAL and not final:
+        kept, held_out = kept.divided(0.8, generator(seed, "realism", "held out"))
     else:
-        training, test = made, known
+        held_out = real(real_file, "test") if final else kept
+    if train_on is Kind.REAL:
+        training = kept.at_most(per_class)
+    else:
+        training = parametric(cache, range(per_class))
+    if test_on is Kind.REAL:
+        test = held_out
+    else:
+        start = per_class if train_on is Kind.PARAMETRIC else 0
+        test = parametric(cache, range(start, start + per_class))
     confusion = confusion_matrix(test, predict(train(training, epochs, seed), test))
-    if reverse:
-        typer.echo("trained on real train clouds, tested on parametric ones")
-    else:
-        typer.echo(
-            f"trained on parametric clouds, tested on real {'test' if final else 'train'} ones"
-        )
-    typer.echo(f"{len(training.labels)} training clouds, {len(test.labels)} test clouds")
+    typer.echo(f"trained on {len(training.labels)} {train_on} clouds, tested on "
+               f"{len(test.labels)} {test_on} ones")  # fmt: skip
     typer.echo(report(confusion))
     if out is not None:
         table = [",".join(["true", *MODELNET40])]

@@ -33,18 +33,23 @@ class Clouds:
     points: NDArray[np.float32]
     labels: NDArray[np.int64]
 
-    def only(self, labels: list[int]) -> Clouds:
-        """The clouds of some classes, labels kept."""
-        chosen = np.isin(self.labels, labels)
-        return Clouds(self.points[chosen], self.labels[chosen])
-
-    def stratified(self, per_class: int, rng: np.random.Generator) -> Clouds:
-        """At most ``per_class`` clouds of each class, drawn without replacement, in file order."""
-        chosen: list[int] = []
+    def divided(self, share: float, rng: np.random.Generator) -> tuple[Clouds, Clouds]:
+        """Two disjoint parts of every class: about ``share`` of it, and the rest, in file order."""
+        first = np.zeros(len(self.labels), bool)
         for label in np.unique(self.labels):
-            of_class = np.flatnonzero(self.labels == label)
-            chosen += rng.permutation(of_class)[:per_class].tolist()
-        order = np.sort(chosen)
+            of_class = rng.permutation(np.flatnonzero(self.labels == label))
+            first[of_class[: round(share * len(of_class))]] = True
+        return (
+            Clouds(self.points[first], self.labels[first]),
+            Clouds(self.points[~first], self.labels[~first]),
+        )
+
+    def at_most(self, per_class: int) -> Clouds:
+        """The first ``per_class`` clouds of each class."""
+        chosen = [
+            np.flatnonzero(self.labels == label)[:per_class] for label in np.unique(self.labels)
+        ]
+        order = np.sort(np.concatenate(chosen))
         return Clouds(self.points[order], self.labels[order])
 
 
@@ -68,8 +73,8 @@ def real(file: Path, split: str) -> Clouds:
     return Clouds(normalise(points), labels)
 
 
-def parametric(cache: Path, per_class: int) -> Clouds:
-    """``per_class`` objects of every family, sampled uniformly over their surface.
+def parametric(cache: Path, indices: range) -> Clouds:
+    """Objects of every family, sampled uniformly over their surface.
 
     Kept in ``cache``, one file a class, named by the sources of its family, so that an edited
     family is made anew.
@@ -77,11 +82,11 @@ def parametric(cache: Path, per_class: int) -> Clouds:
     cache.mkdir(parents=True, exist_ok=True)
     points, labels = [], []
     for name, family in FAMILIES.items():
-        file = cache / f"{name}-{per_class}-{_digest(family)}.npy"
+        file = cache / f"{name}-{indices.start}-{indices.stop}-{_digest(family)}.npy"
         if not file.is_file():
-            np.save(file, np.stack([_sample(family, i) for i in range(per_class)]))
+            np.save(file, np.stack([_sample(family, i) for i in indices]))
         points.append(np.load(file))
-        labels.append(np.full(per_class, MODELNET40.index(name)))
+        labels.append(np.full(len(indices), MODELNET40.index(name)))
     return Clouds(np.concatenate(points), np.concatenate(labels))
 
 
