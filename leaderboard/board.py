@@ -86,7 +86,8 @@ def make_board(results: Iterable[Result]) -> Board:
                 },
             )
         )
-    columns.sort(key=lambda column: (column.title, column.key))
+    # A data set's own test set before others, then by name.
+    columns.sort(key=lambda column: (column.key[0], column.key[3] != column.key[0], column.title))
     _tell_apart(columns)
     return Board(columns, dict(sorted(rows.items())))
 

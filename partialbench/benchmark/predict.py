@@ -162,7 +162,10 @@ def _read_image(path: Path) -> NDArray:
 def _read_ply(path: Path) -> NDArray:
     import trimesh
 
-    loaded = trimesh.load(path, process=False)
+    try:
+        loaded = trimesh.load(path, process=False)
+    except Exception as error:  # its parsers raise whatever a bad file makes them trip over
+        raise InputError(f"{path} cannot be read: {error}") from error
     vertices = getattr(loaded, "vertices", None)
     if vertices is None or len(vertices) == 0:
         raise InputError(f"{path} holds no points")

@@ -1,0 +1,95 @@
+"""Made-up records with predictions that fit them, to build boards from."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from partialbench.benchmark import metrics, results
+from partialbench.benchmark.predictions import Predictions
+from partialbench.benchmark.protocol import PRESETS
+from partialbench.benchmark.recipe import as_dict
+from partialbench.benchmark.results import DataRecord, Result
+from partialbench.registry import ModelCard
+
+CLASSES = ["bottle", "chair", "lamp", "table"]
+
+
+def predictions(accuracy, seed, objects=40, views=3, posed=False, truth_seed=0) -> Predictions:
+    """Right with chance ``accuracy``; the clouds are the same for every model and seed."""
+    truth, rng = np.random.default_rng(truth_seed), np.random.default_rng(seed)
+    size = objects * views
+    labels = np.repeat(np.arange(objects) % len(CLASSES), views)
+    answer = np.where(
+        rng.random(size) < accuracy, labels, (labels + rng.integers(1, 4, size)) % len(CLASSES)
+    )
+    logits = rng.normal(0, 0.3, (size, len(CLASSES)))
+    logits[np.arange(size), answer] = 3
+    logs = logits - np.log(np.exp(logits).sum(1, keepdims=True))
+    bins = np.argsort(rng.random((size, 60)), axis=1)[:, :20]
+    return Predictions(
+        rows=np.arange(size, dtype=np.int32), labels=labels.astype(np.int16),
+        predicted=answer.astype(np.int16), log_probabilities=logs.astype(np.float16),
+        pose_bins=(bins if posed else bins[:, :0]).astype(np.uint8),
+        quaternions=Rotation.random(size, rng=truth).as_quat().astype(np.float32),
+        symmetries=np.array(["z-inf", "none", "z-inf", "z-180"])[labels],
+        object_ids=np.array([f"{CLASSES[i % 4]}_{i:04d}" for i in range(objects)]).repeat(views),
+        views=np.tile(np.arange(views, dtype=np.int32), objects),
+        visible_fraction=truth.uniform(0.1, 0.6, size).astype(np.float32),
+    )  # fmt: skip
+
+
+def record(
+    name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="mini",
+    test=None, test_digest="b", paper=None, title=None, variant="",
+) -> Result:  # fmt: skip
+    card = ModelCard(
+        name=name, entry=f"x:{name}", title=title or name.upper(), paper="Somebody et al., 2021",
+        representation="pc (1024×3)", paper_scores=paper or {},
+        choices=("a choice with <b> & ünïcode",), deviations=("it deviates",),
+    )  # fmt: skip
+    fields = dataclasses.asdict(dataclasses.replace(card, recipe=card.recipe))
+    fields |= {"invariances": ["permutation"], "recipe": as_dict(card.recipe), "parameters": {}}
+    protocol = PRESETS[preset]
+    test = test or data
+    objects = len(np.unique(stored.object_ids))
+    return Result(
+        model=name, variant=variant, card=fields, recipe=fields["recipe"],
+        deviations=["29 epochs instead of 250"], protocol=protocol.as_dict(),
+        protocol_digest=protocol.digest,
+        train_data=DataRecord(data, "partial", digest * 64, 100, 20, CLASSES),
+        test_data=DataRecord(test, "partial", test_digest * 64, len(stored), objects, CLASSES),
+        seed=seed,
+        training={"epochs": 2, "steps": 6, "clouds_seen": 200, "seconds": 1.5,
+                  "clouds_per_second": 300.0, "train_loss": 0.5, "validation_accuracy": 0.7,
+                  "peak_memory_bytes": 2**28},
+        cost={"parameters": 1234 + 100 * len(name), "multiply_adds": 10**6 * len(name),
+              "latency_ms": 3.0, "batch_ms": 0.5 * len(name), "batch_size": 32,
+              "peak_memory_bytes": 2**27},
+        rotation_audit={"drift": 0.25, "changed": 0.1, "clouds": 24, "turns": 2},
+        environment={"device": "cpu", "cpu": "a processor", "git_commit": "0" * 40,
+                     "packages": {"torch": "2"}},
+        predictions_file="", predictions_sha256="",
+        scores=metrics.scores(stored, CLASSES, CLASSES),
+    )  # fmt: skip
+
+
+def add(
+    folder: Path, name: str, accuracy: float, seed=0, posed=False, objects=40, views=3, **other
+):
+    """Writes one record; returns its path."""
+    stored = predictions(accuracy, 1000 * seed + sum(map(ord, name)), objects, views, posed)
+    return results.write(folder, record(name, stored, seed, **other), stored)
+
+
+def small_board(folder: Path) -> Path:
+    """Three models, two of them alike, one of them posed; two columns."""
+    for seed in range(2):
+        add(folder, "good", 0.9, seed, posed=True, paper={"pm40": 83.5})
+        add(folder, "even", 0.9, seed, paper={"pm40": 81.5})
+        add(folder, "poor", 0.4, seed)
+    add(folder, "good", 0.7, test="ps15-rooms", test_digest="c", posed=True)
+    return folder

@@ -1,0 +1,216 @@
+"""Records → tables: grouped by digest, stable to the byte, refused when they cannot be trusted."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import re
+import shutil
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+from leaderboard.board import make_board, ranked
+from leaderboard.build import build_leaderboard
+from leaderboard.check import problems
+from leaderboard.comparison import compare
+from leaderboard.tables import engineering, escape
+from partialbench.benchmark import results
+from partialbench.errors import InputError
+from tests.leaderboard.records import add, predictions, record, small_board
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return small_board(tmp_path / "results")
+
+
+def test_cells_average_their_seeds(folder):
+    board = make_board(results.read_folder(folder))
+    column = next(c for c in board.columns if "→" not in c.title)
+    cell = column.cells["good"]
+    found = [r.scores["accuracy"] for r in cell.results]
+    assert [r.seed for r in cell.results] == [0, 1]
+    assert cell.mean() == pytest.approx(sum(found) / 2)
+    assert cell.std() == pytest.approx(abs(found[0] - found[1]) / 2**0.5)
+    assert ranked(column)[-1] == "poor"
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"digest": "d"}, {"test_digest": "d"}, {"preset": "paper"}, {"data": "pm40"},
+        {"test": "pm40"},
+    ],
+)  # fmt: skip
+def test_other_data_or_protocol_is_another_column(tmp_path, other):
+    add(tmp_path, "one", 0.9)
+    add(tmp_path, "two", 0.8)
+    add(tmp_path, "two", 0.8, **other)
+    board = make_board(results.read_folder(tmp_path))
+    assert len(board.columns) == 2
+    assert len({c.title for c in board.columns}) == 2
+    assert sorted(sorted(c.cells) for c in board.columns) == [["one", "two"], ["two"]]
+
+
+def test_a_variant_is_a_row_of_its_own(tmp_path):
+    add(tmp_path, "one", 0.9)
+    add(tmp_path, "one", 0.8, variant="lr=0.1")
+    (column,) = make_board(results.read_folder(tmp_path)).columns
+    assert set(column.cells) == {"one", "one [lr=0.1]"}
+
+
+def test_groups_tell_the_poor_from_the_good_and_not_equals_apart(folder):
+    board = make_board(results.read_folder(folder))
+    column = next(c for c in board.columns if "→" not in c.title)
+    found = compare(column, folder)
+    assert set(found.groups["good"]) & set(found.groups["even"])
+    assert not set(found.groups["good"]) & set(found.groups["poor"])
+    for name, cell in column.cells.items():
+        low, high = found.intervals[name]
+        assert low < cell.mean() < high
+        assert 0.02 < high - low < 0.25
+
+
+def test_results_on_other_clouds_of_the_same_data_are_refused(tmp_path):
+    add(tmp_path, "one", 0.9)
+    fewer = predictions(0.9, 3)
+    fewer = fewer.select(np.arange(60))
+    results.write(tmp_path, record("two", fewer), fewer)
+    (column,) = make_board(results.read_folder(tmp_path)).columns
+    with pytest.raises(InputError, match="was not tested on the same clouds"):
+        compare(column, tmp_path)
+
+
+def test_the_same_records_give_the_same_bytes(folder, tmp_path):
+    first = {p.name: p.read_bytes() for p in build_leaderboard(folder, tmp_path / "a")}
+    shutil.copytree(folder, tmp_path / "moved")
+    again = {p.name: p.read_bytes() for p in build_leaderboard(tmp_path / "moved", tmp_path / "b")}
+    assert first == again
+    assert {"leaderboard.md", "leaderboard.csv", "leaderboard.tex"} <= first.keys()
+
+
+def test_the_tables_say_what_the_records_say(folder, tmp_path):
+    build_leaderboard(folder, tmp_path)
+    text = (tmp_path / "leaderboard.md").read_text()
+    with open(tmp_path / "leaderboard.csv", newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 4
+    by_model = {line["model"]: line for line in lines if line["test_data"] == "pm40-parametric"}
+    for name, paper in (("good", "83.5"), ("even", "81.5"), ("poor", "–")):
+        mean = float(by_model[name]["accuracy"])
+        line = next(m for m in text.splitlines() if m.startswith(f"| {name.upper()} |"))
+        assert f"{100 * mean:.1f} ± " in line
+        assert line.endswith(f"| {paper} |")
+    assert by_model["good"]["paper_reported"] == "0.835000"
+    assert by_model["poor"]["paper_reported"] == ""
+    assert float(by_model["good"]["pose_top1"]) < 0.1
+    assert by_model["even"]["pose_top1"] == ""
+    assert "paper, PM40 (reported)" in text
+    assert "paper, PM40 → PS15 (reported)" in text
+
+
+def test_latex_escapes_and_balances(folder, tmp_path):
+    build_leaderboard(folder, tmp_path)
+    text = (tmp_path / "leaderboard.tex").read_text()
+    assert text.count(r"\begin{") == text.count(r"\end{")
+    assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
+    for line in text.splitlines():
+        if line.endswith(r"\\"):
+            head = 6 if "83.5" in text else 5
+            assert len(re.findall(r"(?<!\\)&", line)) in (4, head - 1)
+    assert not re.search(r"(?<!\\)%", text)
+    assert escape("a_b & 5% × {x}") == r"a\_b \& 5\% $\times$ \{x\}"
+    text.encode("ascii")  # every character is one that any LaTeX has
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
+def test_latex_compiles(folder, tmp_path):
+    build_leaderboard(folder, tmp_path)
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "leaderboard.tex"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+
+
+# Integrity.
+
+
+def forge(path, change, honest_digest):
+    """Edits a record; ``honest_digest`` also corrects its digest, as a forger would."""
+    text = json.loads(path.read_text())
+    change(text)
+    if honest_digest:
+        text["record_sha256"] = results.record_digest(text)
+    path.write_text(json.dumps(text))
+
+
+def better(text):
+    text["scores"]["accuracy"] = 0.99
+
+
+def test_sound_records_have_no_problems(folder):
+    assert problems(folder) == []
+
+
+def test_everything_wrong_is_reported_at_once(folder):
+    paths = sorted(folder.glob("*.json"))
+    forge(paths[0], better, honest_digest=False)
+    stored = results.read(paths[1]).predictions_file
+    (folder / stored).unlink()
+    shutil.copy(paths[2], folder / f"again_{paths[2].name}")
+    forge(paths[3], better, honest_digest=True)
+    (folder / "stray.predictions.npz").write_bytes(b"")
+    found = "\n".join(problems(folder))
+    assert "was changed after it was written" in found
+    assert f"{stored} is missing" in found
+    assert "record the same run" in found
+    assert "give another accuracy than the record says" in found
+    assert "belongs to no record" in found
+    assert len(found.splitlines()) == 5
+    with pytest.raises(InputError, match=r"5 thing\(s\) wrong"):
+        build_leaderboard(folder, folder / "out", check=True)
+    assert not (folder / "out").exists()
+
+
+def test_a_forger_who_mends_the_digest_is_found_by_check_alone(folder, tmp_path):
+    forge(sorted(folder.glob("*.json"))[0], better, honest_digest=True)
+    build_leaderboard(folder, tmp_path / "trusting")
+    with pytest.raises(InputError, match="give another accuracy"):
+        build_leaderboard(folder, tmp_path / "checking", check=True)
+
+
+def test_an_empty_folder_says_how_to_fill_it(tmp_path):
+    with pytest.raises(InputError, match=r"holds no records.*partialbench eval"):
+        build_leaderboard(tmp_path, tmp_path / "out")
+    with pytest.raises(InputError, match="no results folder"):
+        build_leaderboard(tmp_path / "absent", tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_board_of_the_papers_size_takes_less_than_half_a_minute(tmp_path):
+    for i in range(12):
+        for seed in range(5):
+            for test, digest in (("pm40", "b"), ("ps15", "c")):
+                add(tmp_path, f"model{i}", 0.6 + i / 50, seed, i > 8, 2468, 1, data="pm40",
+                    test=test, test_digest=digest)  # fmt: skip
+    start = time.perf_counter()
+    build_leaderboard(tmp_path, tmp_path / "out")
+    assert time.perf_counter() - start < 30
+
+
+def test_numbers_read_well():
+    assert [engineering(n) for n in (12, 1_234, 3_480_049, 7_100_000_000)] == [
+        "12", "1.2 k", "3.5 M", "7.1 G",
+    ]  # fmt: skip
+
+
+def test_the_run_name_is_a_file_name_and_depends_on_what_the_run_is():
+    stored = predictions(0.9, 0)
+    base = record("my_model:make", stored)
+    names = {base.run_name}
+    for change in ({"seed": 1}, {"variant": "lr=0.1"}, {"protocol_digest": "f" * 64}):
+        names.add(dataclasses.replace(base, **change).run_name)
+    assert len(names) == 4
+    assert all(re.fullmatch(r"[A-Za-z0-9._=+-]+", name) for name in names)
