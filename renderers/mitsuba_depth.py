@@ -212,8 +212,8 @@ def _require_unit_ball(vertices: NDArray[np.float32]) -> None:
         )
 
 
-def _scene(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> Any:
-    """A ``mitsuba.Scene``; Any, because what its methods return depends on the variant."""
+def make_scene(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> Any:
+    """A ``mitsuba.Scene`` of the active variant; Any, as what it returns depends on the variant."""
     mesh = mi.Mesh("object", len(vertices), len(faces))
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = vertices.ravel()
@@ -239,7 +239,7 @@ class _Tracer:
     """Vectorised ray tracing of one mesh: all rays of all views in one launch."""
 
     def __init__(self, vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
-        self.scene = _scene(vertices, faces)
+        self.scene = make_scene(vertices, faces)
 
     def depth(self, R: NDArray, t: NDArray, cameras: list[Camera]) -> Iterator[NDArray[np.float32]]:
         """The views' z-depth images (H,W) float32, 0 = no surface."""
@@ -297,7 +297,7 @@ class _ScalarTracer:
     """The same, one ray at a time: for machines without LLVM."""
 
     def __init__(self, vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
-        self.scene = _scene(vertices, faces)
+        self.scene = make_scene(vertices, faces)
 
     def depth(self, R: NDArray, t: NDArray, cameras: list[Camera]) -> Iterator[NDArray[np.float32]]:
         """As ``_Tracer.depth``."""

@@ -45,11 +45,21 @@ class Directory:
         return str(self.root)
 
     def names(self) -> list[str]:
-        """As ``Files.names``."""
+        """As ``Files.names``; ``InputError`` where a folder in it cannot be listed."""
+
+        def fail(error: OSError) -> None:
+            raise InputError(f"{error.filename}: cannot be listed ({error.strerror})") from error
+
         found = []
-        for folder, folders, files in os.walk(self.root, followlinks=True):
-            folders[:] = [f for f in folders if not _hidden(f)]
-            inside = Path(folder).relative_to(self.root)
+        for folder, folders, files in os.walk(self.root, onerror=fail, followlinks=True):
+            here = Path(folder)
+            # A link may lead to another disk, but one that leads back up would never end.
+            folders[:] = [
+                f
+                for f in folders
+                if not _hidden(f) and not here.resolve().is_relative_to((here / f).resolve())
+            ]
+            inside = here.relative_to(self.root)
             found += [(inside / f).as_posix() for f in files if not _hidden(f)]
         return sorted(found)
 

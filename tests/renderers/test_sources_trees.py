@@ -155,6 +155,17 @@ def test_a_broken_file_is_named_by_its_place(tmp_path: Path) -> None:
         source.load(source.objects("train")[1])
 
 
+def test_links_are_followed_but_not_in_circles(tmp_path: Path) -> None:
+    write(tmp_path / "elsewhere", ("train/chair_0001.off",))
+    root = write(tmp_path / "root", ("airplane/train/airplane_0003.off",))
+    (root / "chair").symlink_to(tmp_path / "elsewhere")
+    (root / "airplane" / "train" / "up").symlink_to(root)
+    assert [ref.object_id for ref in ModelNet40Tree(root).objects("train")] == [
+        "airplane_0003",
+        "chair_0001",
+    ]
+
+
 def test_a_zip_is_read_after_a_fork(tmp_path: Path) -> None:
     source = ModelNet40Zip(pack(tmp_path / "m.zip", MODELNET))
     refs = source.objects("train")
