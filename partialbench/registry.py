@@ -91,6 +91,8 @@ SOURCES: dict[str, str] = {
     "modelnet40-zip": "renderers.sources.modelnet:ModelNet40Zip",
     "folder": "renderers.sources.folder:MeshFolder",
     "clouds": "renderers.sources.clouds:CompleteClouds",
+    "scannet": "renderers.sources.scannet.source:ScanNetInstances",
+    "rooms": "renderers.rooms.source:SimulatedRooms",
 }
 
 DATASET_IDS: dict[str, tuple[str, str]] = {
@@ -99,14 +101,15 @@ DATASET_IDS: dict[str, tuple[str, str]] = {
     "modelnet40-zip": ("pm40", "mitsuba"),
     "folder": ("pm40-custom", "mitsuba"),
     "clouds": ("pm40-clouds", "hpr"),
-    "scannet": ("ps15", "hpr"),
-    "rooms": ("ps15-rooms", "hpr"),
+    "scannet": ("ps15", "scan-hpr"),
+    "rooms": ("ps15-rooms", "scan-hpr"),
 }
 """Source name → (data set id, occluder). Different ids never share a table's column."""
 
 OCCLUDERS: dict[str, str] = {
     "mitsuba": "renderers.mitsuba_depth:MitsubaOccluder",
     "hpr": "renderers.hpr:HprOccluder",
+    "scan-hpr": "renderers.sources.scannet.occluder:ScanHprOccluder",
     "whole": "renderers.whole:WholeOccluder",
 }
 

@@ -18,6 +18,7 @@ from partialbench.geometry.rotations import axis_rotation
 from renderers.rooms.appliances import FAMILIES as APPLIANCES
 from renderers.shapes.family import make
 from renderers.sources.scannet.scan2cad import R_canonical_cad
+from renderers.whole import sample_surface
 
 LARGEST_M = 2.3
 """No piece of furniture is longer than this, whatever its class's own measure."""
@@ -148,16 +149,3 @@ def rotational_symmetry(mesh: trimesh.Trimesh, rng: np.random.Generator) -> str:
     if not maps_onto_itself(90):
         return "__SYM_ROTATE_UP_2"
     return "__SYM_ROTATE_UP_INF" if maps_onto_itself(37) else "__SYM_ROTATE_UP_4"
-
-
-def sample_surface(
-    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """(count,3) points uniform on the surface."""
-    triangles = np.asarray(mesh.vertices)[mesh.faces]
-    a, b, c = triangles.transpose(1, 0, 2)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chosen = np.searchsorted(np.cumsum(area), rng.random(count) * area.sum(), side="right")
-    u, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-    a, b, c = triangles[np.minimum(chosen, len(area) - 1)].transpose(1, 0, 2)
-    return (1 - u) * a + u * (1 - v) * b + u * v * c

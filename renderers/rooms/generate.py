@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import shutil
 from concurrent.futures import ProcessPoolExecutor
@@ -36,12 +37,12 @@ class RoomsFolder:
     """Where the generated files are, ready for ``ScanNetInstances``.
 
     Attributes:
-        scannet_dir, scan2cad_file, split_file: its arguments of these names.
+        scannet, scan2cad, split_file: its arguments of these names.
         truth_file: the true classes and poses, which the loader does not read.
     """
 
-    scannet_dir: Path
-    scan2cad_file: Path
+    scannet: Path
+    scan2cad: Path
     split_file: Path
     truth_file: Path
 
@@ -71,7 +72,17 @@ def generate_rooms(
     _metric_sensor(sensor)
     import_open3d()
     out = Path(out)
-    _stamp(out, {"seed": seed, "sensor": sensor, "generation": [GENERATION, SHAPES_GENERATION]})
+    configuration = {
+        "seed": seed, "sensor": sensor, "generation": GENERATION, "shapes": SHAPES_GENERATION
+    }  # fmt: skip
+    _stamp(out, configuration)
+    with open(out / ".lock", "w") as lock:
+        # A second run into the same folder waits, and then finds the rooms made.
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return _generate(out, num_rooms, seed, workers, sensor)
+
+
+def _generate(out: Path, num_rooms: int, seed: int, workers: int, sensor: str) -> RoomsFolder:
     (out / "scans").mkdir(exist_ok=True)
     jobs = [(out / "scans", index, seed, sensor) for index in range(num_rooms)]
     missing = [job for job in jobs if not (out / "scans" / room_id(job[1])).is_dir()]
@@ -83,7 +94,7 @@ def generate_rooms(
             _make_room(job)
     rooms = [json.loads((folder / room_id(i) / _OWN).read_bytes()) for folder, i, _, _ in jobs]
     result = RoomsFolder(out, out / ANNOTATIONS, out / SPLIT, out / TRUTH)
-    _write(result.scan2cad_file, [room["annotation"] for room in rooms])
+    _write(result.scan2cad, [room["annotation"] for room in rooms])
     _write(result.truth_file, [piece for room in rooms for piece in room["truth"]])
     splits: dict[str, list[str]] = {"train": [], "test": []}
     for index in range(num_rooms):

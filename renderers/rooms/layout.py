@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.seeding import generator
 from partialbench.geometry.rotations import axis_rotation
-from renderers.rooms.furniture import KINDS, SINK_RIM_M, SUPPORTS, Cad, make_cad, sample_surface
+from renderers.rooms.furniture import KINDS, SINK_RIM_M, SUPPORTS, Cad, make_cad
 from renderers.sources.scannet.scan2cad import FRONT, R_canonical_cad
+from renderers.whole import sample_surface
 
 WALL_HEIGHT_M = 2.4
 CLEARANCE_M = 0.06

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset.sources import RejectedView, View
-from renderers.hpr import DEFAULT_GAMMA, hidden_point_removal, paper_radius
+from renderers.hpr import HprOccluder, hidden_point_removal, paper_radius
 from renderers.sources.scannet.filters import Rules, judge_view
 from renderers.sources.scannet.source import ScanInstance
 
@@ -17,12 +17,20 @@ class ScanHprOccluder:
     """An ``Occluder`` for `ScanInstance`: HPR of its points, then ``filters.judge_view``.
 
     Args:
-        gamma: HPR's relative radius, as ``hpr.paper_radius`` takes it.
+        gamma, radius: size of HPR's sphere, as ``hpr.HprOccluder`` takes them.
         rules: thresholds; the views' three are used.
+
+    Raises:
+        InputError: gamma and radius are both given, or one is out of range.
     """
 
-    def __init__(self, gamma: float = DEFAULT_GAMMA, rules: Rules | None = None) -> None:
-        self.gamma = gamma
+    def __init__(
+        self,
+        gamma: float | None = None,
+        radius: float | None = None,
+        rules: Rules | None = None,
+    ) -> None:
+        self.hpr = HprOccluder(gamma, radius)
         self.rules = rules or Rules()
 
     def views(
@@ -36,11 +44,13 @@ class ScanHprOccluder:
 
     def describe(self) -> dict[str, Any]:
         """Method, radius and thresholds, as JSON data."""
-        return {"occluder": "scan-hpr", "gamma": self.gamma, "rules": self.rules.describe()}
+        return {**self.hpr.describe(), "name": "scan-hpr", "rules": self.rules.describe()}
 
     def _view(self, shape: ScanInstance, R: NDArray, t: NDArray) -> View | RejectedView:
         viewpoint = -R.T @ t
-        radius = paper_radius(shape.points, viewpoint, self.gamma)
+        radius = self.hpr.radius
+        if radius is None:
+            radius = paper_radius(shape.points, viewpoint, self.hpr.gamma)
         seen = hidden_point_removal(shape.points, viewpoint, radius)
         points = shape.points[seen].astype(np.float64)
         if rejected := judge_view(points, shape.normals[seen], viewpoint, self.rules):

@@ -78,6 +78,10 @@ class ScanInstance:
     residual_m: float
     details: dict[str, Any]
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        """The points, so that whatever takes an (n,3) cloud takes an instance."""
+        return np.array(self.points, dtype=dtype, copy=copy)
+
 
 @dataclass(frozen=True)
 class _Listed:
@@ -99,13 +103,13 @@ class ScanNetInstances:
     """A `partialbench.dataset.sources.Source` over a ScanNet folder and a Scan2CAD file.
 
     Args:
-        scannet_dir: holds ``scans/<scene>/`` (or ``<scene>/``) and the label map.
-        scan2cad_file: ``full_annotations.json``.
+        scannet: holds ``scans/<scene>/`` (or ``<scene>/``) and the label map.
+        scan2cad: ``full_annotations.json``.
         viewpoints: "standing" (a person with a camera in the room) or "uniform" (the paper's poses:
             Haar rotation, t_x, t_y ~ U(−2, 2), t_z ~ U(2, 5)).
         split_file: JSON object {"train": [...], "test": [...]} of scene ids or space ids; a scene
             in neither is left out. Default: four of five spaces by hash, see ``split_of``.
-        label_map: default ``scannet_dir/scannetv2-labels.combined.tsv``.
+        label_map: default ``scannet/scannetv2-labels.combined.tsv``.
         rules: thresholds of ``filters``.
         workers: processes that list scenes.
 
@@ -113,8 +117,8 @@ class ScanNetInstances:
         InputError: the folder, the annotations, the label map or the split file cannot be used.
     """
 
-    scannet_dir: Path
-    scan2cad_file: Path
+    scannet: Path
+    scan2cad: Path
     viewpoints: str = "standing"
     split_file: Path | None = None
     label_map: Path | None = None
@@ -122,27 +126,38 @@ class ScanNetInstances:
     workers: int = 1
     class_names: tuple[str, ...] = PS15
     frame: str = "aligned"
+    name: str = "scannet"
 
     def __post_init__(self) -> None:
-        self.scannet_dir, self.scan2cad_file = Path(self.scannet_dir), Path(self.scan2cad_file)
+        self.scannet, self.scan2cad = Path(self.scannet).absolute(), Path(self.scan2cad).absolute()
         if self.viewpoints not in VIEWPOINTS:
             raise InputError(
                 f"viewpoints {self.viewpoints!r} is not one of {', '.join(VIEWPOINTS)}"
             )
-        if not self.scannet_dir.is_dir():
+        if not self.scannet.is_dir():
             raise InputError(
-                f"{self.scannet_dir} is no folder; give --scannet the folder that holds scans/"
+                f"{self.scannet} is no folder; give --scannet the folder that holds scans/"
             )
-        self.label_map = self.label_map or self.scannet_dir / LABEL_MAP
-        self._labels: LabelMap = read_label_map(self.label_map)
-        self._annotations = {a.scene_id: a for a in read_annotations(self.scan2cad_file)}
+        self.label_map = self.label_map or self.scannet / LABEL_MAP
         self._splits = None if self.split_file is None else read_split_file(self.split_file)
         self._listed: dict[str, _Listed] | None = None
+        self._open()
+
+    def _open(self) -> None:
+        assert self.label_map is not None
+        self._labels: LabelMap = read_label_map(self.label_map)
+        self._annotations = {a.scene_id: a for a in read_annotations(self.scan2cad)}
         self._scene: tuple[str, dict[int, ScanInstance], str] | None = None
 
+    # A worker is sent the paths and reads for itself: all of Scan2CAD would be megabytes a task.
     def __getstate__(self) -> dict[str, Any]:
-        # A worker loads its own scenes; the listing stays with whoever made it.
-        return {**self.__dict__, "_scene": None, "_listed": None}
+        left_out = ("_labels", "_annotations", "_scene")
+        state = {k: v for k, v in self.__dict__.items() if k not in left_out}
+        return {**state, "_listed": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._open()
 
     def split_of(self, scene_id: str) -> str | None:
         """The split of a scene; rescans of one space stay together. None: in neither.
@@ -211,10 +226,10 @@ class ScanNetInstances:
         """The options and what the annotations and the label map say, as digests."""
         assert self.label_map is not None
         return {
-            "source": "scannet-scan2cad",
+            "name": self.name,
             "viewpoints": self.viewpoints,
             "rules": self.rules.describe(),
-            "annotations": file_sha256(self.scan2cad_file),
+            "annotations": file_sha256(self.scan2cad),
             "label_map": file_sha256(self.label_map),
             "split": "sha256(space) < 0.8" if self._splits is None else dict(self._splits),
             "scenes": len(self._list()),
@@ -247,8 +262,8 @@ class ScanNetInstances:
         return self._listed
 
     def _all_scenes(self) -> set[str]:
-        scans = self.scannet_dir / "scans"
-        folder = scans if scans.is_dir() else self.scannet_dir
+        scans = self.scannet / "scans"
+        folder = scans if scans.is_dir() else self.scannet
         present = {path.name for path in folder.iterdir() if path.is_dir() and scene_files(path)}
         return present | set(self._annotations)
 
@@ -256,7 +271,7 @@ class ScanNetInstances:
         annotation = self._annotations.get(scene_id)
         if annotation is None:
             return _Listed((), ((scene_id, "the scene has no annotation", {}, False),), {})
-        if scene_folder(self.scannet_dir, scene_id) is None:
+        if scene_folder(self.scannet, scene_id) is None:
             reason = "the annotated scene is not in the ScanNet folder"
             return _Listed((), ((scene_id, reason, {}, False),), {})
         if annotation.problem:
@@ -276,14 +291,14 @@ class ScanNetInstances:
         first = "; ".join(f"{reason} ({n}×)" for reason, n in reasons.most_common(3))
         first = first or "no scene is in either split"
         return (
-            f"no PS15 instance in {self.scannet_dir} with {self.scan2cad_file.name}: {first}. "
-            f"Expected {self.scannet_dir}/scans/<scene>/<scene>_vh_clean_2.ply and its labels"
+            f"no PS15 instance in {self.scannet} with {self.scan2cad.name}: {first}. "
+            f"Expected {self.scannet}/scans/<scene>/<scene>_vh_clean_2.ply and its labels"
         )
 
     def _scene_instances(self, scene_id: str) -> tuple[dict[int, ScanInstance], str]:
         if self._scene is None or self._scene[0] != scene_id:
             annotation = self._annotations.get(scene_id)
-            folder = scene_folder(self.scannet_dir, scene_id)
+            folder = scene_folder(self.scannet, scene_id)
             if annotation is None or folder is None:
                 raise InputError(f"scene {scene_id!r} is not in both ScanNet and Scan2CAD")
             found, _, _ = self._read(annotation)
@@ -296,7 +311,7 @@ class ScanNetInstances:
         self, annotation: SceneAnnotation
     ) -> tuple[dict[int, ScanInstance], list[tuple[int, str, dict[str, Any]]], dict[str, Any]]:
         """Instances by index, rejections (index, reason, details), and reading notes of a scene."""
-        folder = scene_folder(self.scannet_dir, annotation.scene_id)
+        folder = scene_folder(self.scannet, annotation.scene_id)
         assert folder is not None
         scene = read_scene(folder, self._labels)
         instances, turned_away = segment(scene, annotation, self._labels, self.rules)
