@@ -86,8 +86,8 @@ def _supports(p: Draw, depth: float, length: float, seat: float) -> Iterable[Sol
 
 @family(
     "bench",
-    variants={"backless": 5, "park": 5, "settle": 2, "scrolled": 1},
-    length=(1.15, 2.1), depth=(0.34, 0.6), seat=(0.28, 0.48), seat_thickness=(0.03, 0.1),
+    variants={"backless": 6, "park": 5, "settle": 2, "scrolled": 1},
+    length=(1.15, 2.1), depth=(0.3, 0.66), seat=(0.28, 0.48), seat_thickness=(0.03, 0.1),
     slat_gap=(0.1, 0.35), leg=(0.04, 0.09), inset=(0.0, 0.22), splay=(0.0, 14.0),
     back=(0.22, 0.45), rake=(3.0, 20.0), arm=(0.16, 0.28), arm_width=(0.04, 0.09),
     scroll=(0.1, 0.3),

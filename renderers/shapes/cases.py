@@ -99,7 +99,7 @@ def _shell(x: float, y: float, z: tuple[float, float], wall: float, lid: bool) -
 @family(
     "glass_box",
     variants={"plain": 6, "divided": 7, "grid": 1, "vitrine": 2, "cased": 2},
-    length=(1.0, 2.0), width=(0.45, 1.1), height=(0.34, 0.9), wall=(0.01, 0.045),
+    length=(1.0, 2.0), width=(0.4, 1.25), height=(0.34, 1.05), wall=(0.01, 0.045),
     partition=(0.01, 0.03), stand=(0.05, 0.25), edge=(0.02, 0.06), shelf=(0.3, 0.7),
     lid=(0.0, 0.05), post=(0.02, 0.05),
 )  # fmt: skip

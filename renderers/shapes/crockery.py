@@ -21,8 +21,8 @@ def hollow(outside: NDArray[np.float64], wall: float, floor: float) -> NDArray[n
 
 @family(
     "bowl",
-    variants={"round": 5, "flared": 3, "footed": 3, "basin": 2, "closing": 2, "square": 1},
-    height=(0.36, 1.0), foot=(0.25, 0.6), foot_height=(0.03, 0.12), belly=(0.35, 0.75),
+    variants={"round": 5, "flared": 3, "footed": 4, "basin": 4, "closing": 3, "square": 1},
+    height=(0.34, 1.15), foot=(0.25, 0.6), foot_height=(0.03, 0.12), belly=(0.35, 0.75),
     wall=(0.015, 0.06), floor=(0.02, 0.08), rim=(0.0, 0.1), rim_height=(0.01, 0.06),
     closing=(0.7, 0.95), oval=(0.86, 1.0), power=(1.6, 3.2), stem=(0.15, 0.45),
 )  # fmt: skip
@@ -61,8 +61,8 @@ def bowl(p: Draw) -> Iterable[Solid]:
 
 @family(
     "cup",
-    variants={"mug": 6, "tumbler": 5, "teacup": 3, "goblet": 2},
-    height=(0.8, 1.3), taper=(0.62, 1.02), belly=(-0.06, 0.12), wall=(0.02, 0.07),
+    variants={"mug": 7, "tumbler": 7, "teacup": 2, "goblet": 3},
+    height=(0.75, 1.35), taper=(0.5, 1.05), belly=(-0.05, 0.1), wall=(0.02, 0.07),
     floor=(0.02, 0.1), handle=(0.2, 0.36), handle_span=(0.4, 0.7), handle_thickness=(0.03, 0.06),
     handle_at=(0.45, 0.58), heel=(0.01, 0.08), foot=(0.5, 0.85), stem=(0.05, 0.1),
     stem_height=(0.25, 0.5), saucer=(0.75, 1.0),

@@ -61,9 +61,9 @@ def _hutch(p: Draw, x: tuple[float, float], width: float, z: float) -> Iterable[
 
 @family(
     "desk",
-    variants={"double_pedestal": 4, "single_pedestal": 4, "writing": 3, "panel": 2, "corner": 2,
+    variants={"double_pedestal": 4, "single_pedestal": 4, "writing": 4, "panel": 2, "corner": 2,
               "hutch": 2},
-    width=(1.15, 1.9), depth=(0.52, 0.85), height=(0.66, 0.8), top=(0.02, 0.07),
+    width=(1.15, 1.9), depth=(0.5, 0.95), height=(0.6, 0.86), top=(0.02, 0.07),
     overhang=(0.0, 0.05), pedestal=(0.2, 0.32), clearance=(0.0, 0.16), panel=(0.015, 0.04),
     leg=(0.035, 0.08), leg_taper=(0.6, 1.0), leg_round=(0.0, 1.0), modesty=(0.25, 0.95),
     grip=(0.2, 0.6), drawer_out=(0.1, 0.3), hutch=(0.3, 0.65), wing=(0.45, 0.95),

@@ -7,7 +7,18 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, box, cylinder, ellipsoid, revolve, rod, smooth, tube
+from renderers.shapes.solids import (
+    Solid,
+    box,
+    cylinder,
+    ellipsoid,
+    join,
+    revolve,
+    ring,
+    rod,
+    smooth,
+    tube,
+)
 
 
 def _shade(p: Draw, height: float, radius: float) -> Solid:
@@ -72,7 +83,8 @@ def _turned_stem(p: Draw, low: float, high: float, width: float) -> Solid:
 
 @family(
     "lamp",
-    variants={"table": 5, "floor": 4, "arc": 3, "desk": 2, "pendant": 1, "paper": 1},
+    variants={"table": 6, "floor": 3, "arc": 2, "desk": 4, "pendant": 1, "paper": 1, "wall": 1,
+              "branched": 1},
     height=(1.3, 2.0), shade=(0.28, 0.52), shade_height=(0.3, 0.62), shade_taper=(0.25, 0.9),
     base=(0.16, 0.36), base_thickness=(0.02, 0.08), stem=(0.012, 0.035), stem_width=(0.08, 0.24),
     belly=(0.1, 0.9), finial=(0.01, 0.07), reach=(0.4, 1.1), head=(0.12, 0.24),
@@ -113,6 +125,25 @@ def lamp(p: Draw) -> Iterable[Solid]:
                       facets)  # fmt: skip
         return
 
+    if p.variant == "wall":  # the plate at +x, the arm towards −x
+        out = 0.5 * p.reach
+        yield box((out, out + 0.04), p.base, (0, 1.3 * p.base))
+        yield tube(smooth([(out, 0, 0.5 * p.base), (0.4 * out, 0, 0.3 * p.base - p.sag * 0.3),
+                           (0, 0, 0.5 * p.base)], 12), p.stem)  # fmt: skip
+        yield _shade(p, p.shade_height, 0.8 * p.shade).at(z=0.5 * p.base)
+        return
+    if p.variant == "branched":
+        yield from _base(p, p.base, p.base_thickness)
+        yield cylinder(p.stem, (0, 0.9 * h), 10)
+        arm = smooth(
+            [(0, 0, 0.6 * h), (0, 0.2 * p.reach, 0.62 * h), (0, 0.4 * p.reach, 0.75 * h)], 9
+        )
+        shade = _shade(p, 0.7 * p.shade_height, p.head)
+        yield ring(join(tube(arm, 0.7 * p.stem), shade.at(*arm[-1])), p.integer(2, 5), 90)
+        if p.chance(0.5):
+            yield shade.at(z=0.9 * h)
+        return
+
     # arc and desk lamps: the base at −y, the head at +y
     yield from _base(p, p.base * 0.85, p.base_thickness)
     if p.variant == "arc":
@@ -121,7 +152,8 @@ def lamp(p: Draw) -> Iterable[Solid]:
                        (0, 0.65 * p.reach, h), (0, p.reach, drop)], 28)  # fmt: skip
         end, tilt = path[-1], p.uniform(0, 40)
     else:
-        middle = (0, -p.elbow * 0.7, 0.55 * h)
+        h *= 0.45 + 0.4 * p.elbow / 0.5
+        middle = (0, -p.elbow * 0.9, 0.55 * h)
         path = np.array([(0, 0, 0.02), middle, (0, p.reach * 0.7, 0.95 * h)])
         end, tilt = path[-1], p.uniform(10, 60)
         yield ellipsoid(0.035, 0.035, 0.035, 10).at(*middle)

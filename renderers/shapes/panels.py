@@ -37,14 +37,14 @@ def _drape(p: Draw, edge: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]])
 
 @family(
     "curtain",
-    variants={"full": 9, "pair": 1, "tied": 3, "pair_tied": 2},
-    width=(0.3, 1.5), pleat=(0.012, 0.055), pleats=(5.0, 16.0), crease=(0.5, 1.2),
+    variants={"full": 9, "pair": 1, "tied": 3, "pair_tied": 1, "drawn": 3, "blind": 1},
+    width=(0.25, 1.6), pleat=(0.004, 0.05), pleats=(5.0, 16.0), crease=(0.5, 1.2),
     phase=(0.0, 6.28), flare=(0.0, 1.0), drift=(0.0, 0.6), tie_height=(0.3, 0.6),
     tie_width=(0.15, 0.4), opening=(0.05, 0.4), rod=(0.008, 0.02), valance=(0.08, 0.2),
 )  # fmt: skip
 def curtain(p: Draw) -> Iterable[Solid]:
     w = p.width
-    if p.variant != "full":
+    if p.variant in ("pair", "tied", "pair_tied"):
         w = 0.4 + 0.6 * w
 
     def straight(low: float, high: float) -> Solid:
@@ -66,6 +66,15 @@ def curtain(p: Draw) -> Iterable[Solid]:
     elif p.variant == "pair":
         yield straight(-w / 2, -p.opening * w / 2)
         yield straight(p.opening * w / 2, w / 2)
+    elif p.variant == "drawn":  # pushed to one end of its rod
+        end = (0.6 + p.opening) * p.choice((-1.0, 1.0))
+        gathered = straight(0.0, p.tie_width * w + 0.1)
+        yield gathered if end > 0 else gathered.mirrored("x")
+        yield rod((-np.sign(end) * 0.04, 0, 1.01), (end + 0.1, 0, 1.01), p.rod)
+        return
+    elif p.variant == "blind":
+        for z in np.linspace(0, 1, p.integer(12, 30)):
+            yield box(w, 0.004, 0.03).turned("x", 60 * p.flare).at(z=z)
     elif p.variant == "tied":
         hanging = tied(0.0, 0.75 * w)
         yield hanging if p.chance(0.5) else hanging.mirrored("x")
@@ -73,8 +82,8 @@ def curtain(p: Draw) -> Iterable[Solid]:
         yield both(tied(-w / 2, -0.01))
     if p.chance(0.35):
         bar = rod((-w / 2 - 0.06, 0, 1.01), (w / 2 + 0.06, 0, 1.01), p.rod)
-        if p.variant != "tied":
-            yield bar
+        yield bar
+        if p.chance(0.5):
             yield both(ellipsoid(2 * p.rod, 2 * p.rod, 2 * p.rod, 10).at(w / 2 + 0.06, 0, 1.01))
     if p.variant in ("pair", "pair_tied", "full") and p.chance(0.25):
         yield straight(-w / 2, w / 2).scaled(1.02, 1.4, p.valance).at(z=1 - 0.9 * p.valance)
@@ -82,9 +91,10 @@ def curtain(p: Draw) -> Iterable[Solid]:
 
 @family(
     "door",
-    variants={"slab": 4, "panelled": 4, "double": 2, "glazed": 2, "arched": 1, "ajar": 1},
-    width=(0.78, 1.05), height=(1.9, 2.3), thickness=(0.03, 0.08), frame=(0.04, 0.12),
-    frame_depth=(0.06, 0.2), stile=(0.08, 0.16), relief=(0.008, 0.025), handle_height=(0.44, 0.52),
+    variants={"slab": 6, "panelled": 5, "double": 2, "glazed": 1, "arched": 1, "ajar": 1,
+              "doorway": 1},
+    width=(0.78, 1.05), height=(1.9, 2.3), thickness=(0.015, 0.1), frame=(0.04, 0.12),
+    frame_depth=(0.04, 0.25), stile=(0.08, 0.16), relief=(0.008, 0.025), handle_height=(0.44, 0.52),
     handle=(0.03, 0.07), rail=(0.35, 0.6), arch=(0.15, 0.45), open=(20.0, 95.0),
 )  # fmt: skip
 def door(p: Draw) -> Iterable[Solid]:
@@ -133,6 +143,8 @@ def door(p: Draw) -> Iterable[Solid]:
         if p.variant == "double":
             yield leaf(-w / 2, -0.004, 1)
             yield leaf(0.004, w / 2, -1)
+        elif p.variant == "doorway":  # a frame without a leaf
+            yield both(box((w / 2 - 0.02, w / 2), t, (0, h)))
         elif p.variant == "ajar":
             yield leaf(0, w, 1).turned("z", -p.open).at(-w / 2)
         elif p.variant == "arched":
@@ -147,7 +159,7 @@ def door(p: Draw) -> Iterable[Solid]:
             yield leaf(-w / 2, w / 2, 1)
 
     yield from finish_leaf()
-    if p.variant != "arched" and (p.variant == "ajar" or p.chance(0.6)):
+    if p.variant != "arched" and (p.variant in ("ajar", "doorway") or p.chance(0.6)):
         f, d = p.frame, p.frame_depth
         yield both(box((w / 2, w / 2 + f), d, (0, h + f)))
         yield box(w, d, (h, h + f))
