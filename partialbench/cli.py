@@ -176,12 +176,14 @@ def _build(plan: Any, workers: int, scheduler: str | None) -> Any:
     from partialbench.progress import build_bar
 
     workers = workers or os.cpu_count() or 1
+    if scheduler:
+        cluster = dask_cluster(scheduler)
+        workers = cluster.workers
+        cluster.shutdown()
 
     def make_executor() -> Executor:
-        return dask_cluster(scheduler)[0] if scheduler else process_pool(workers)
+        return dask_cluster(scheduler) if scheduler else process_pool(workers)
 
-    if scheduler:
-        _, workers = dask_cluster(scheduler)
     with build_bar(stderr) as on_progress:
         return build(plan, make_executor, workers, on_progress)
 

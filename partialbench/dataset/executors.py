@@ -64,8 +64,26 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     )
 
 
-def dask_cluster(address: str) -> tuple[Executor, int]:
-    """An executor on the Dask scheduler at ``address``, and its number of worker threads.
+class DaskExecutor(Executor):
+    """A Dask client as an executor that owns it: shutting down cancels and disconnects."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self.workers = sum(client.nthreads().values())
+        # pure=False: a task is known by its own key, never looked up by its arguments.
+        self._executor = client.get_executor(pure=False)
+
+    def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
+        return self._executor.submit(fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        # Dask's own executor cancels what is pending when it does not wait.
+        self._executor.shutdown(wait=wait and not cancel_futures)
+        self._client.close()
+
+
+def dask_cluster(address: str, timeout_s: float = 20) -> DaskExecutor:
+    """An executor on the Dask scheduler at ``address``; ``workers`` says how many threads it has.
 
     Raises:
         InputError: ``distributed`` is not installed, nobody answers, or there are no workers.
@@ -77,16 +95,18 @@ def dask_cluster(address: str) -> tuple[Executor, int]:
             "--scheduler needs Dask's distributed: pip install 'partialbench[cluster]'"
         ) from error
     try:
-        client = Client(address, timeout="20s")
-        threads = sum(client.nthreads().values())
+        client = Client(address, timeout=timeout_s)
     except (OSError, ValueError) as error:
         raise InputError(f"no Dask scheduler answers at {address!r}: {error}") from error
-    if not threads:
+    try:
+        # A worker that just died is being restarted by its nanny.
+        client.wait_for_workers(1, timeout=30)
+    except TimeoutError as error:
+        client.close()
         raise InputError(
             f"the scheduler at {address!r} has no workers; start some with 'dask worker {address}'"
-        )
-    # pure=False: a task is known by its own key, never looked up by its arguments.
-    return client.get_executor(pure=False), threads
+        ) from error
+    return DaskExecutor(client)
 
 
 def worker_deaths() -> tuple[type[BaseException], ...]:
