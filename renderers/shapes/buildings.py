@@ -173,8 +173,8 @@ def _spiral(p: Draw, count: int) -> Iterable[Solid]:
 @family(
     "tent",
     variants={"ridge": 3, "dome": 2.5, "tunnel": 2, "house": 2.5, "marquee": 1.5, "canopy": 1,
-              "wedge": 1},
-    length=(1.0, 2.1), height=(0.45, 0.95), wall=(0.15, 0.6), peak=(0.3, 0.85), sag=(0.0, 0.2),
+              "wedge": 1, "yurt": 1.2, "pyramid": 0.8},
+    length=(0.9, 2.1), height=(0.42, 1.0), wall=(0.15, 0.6), peak=(0.3, 0.85), sag=(0.0, 0.2),
     hip=(0.0, 0.35), eave=(0.0, 0.08), porch=(0.15, 0.5), flap=(0.15, 0.4), pole=(0.01, 0.03),
     power=(1.7, 3.0), skew=(-0.2, 0.2),
 )  # fmt: skip
@@ -201,6 +201,8 @@ def tent(p: Draw) -> Iterable[Solid]:
     elif p.variant == "dome":
         f = np.linspace(0, 1, 9)
         sides = p.choice((4, 6, 24))
+        if p.chance(0.3):
+            half = deep
         turn = np.linspace(0, 2 * np.pi, sides, endpoint=False) + np.pi / sides
         grow = 1 / np.cos(np.pi / sides)
         radius = (1 - f**p.power) ** (1 / p.power)
@@ -224,11 +226,22 @@ def tent(p: Draw) -> Iterable[Solid]:
                 yield extrude(bow * k, (x - 0.002, x + 0.002), "x")
     elif p.variant == "house":
         yield from _house(p, half, deep, tall)
+    elif p.variant == "pyramid":
+        sides = p.choice((4, 4, 6, 8))
+        turn = np.linspace(0, 2 * np.pi, sides, endpoint=False) + np.pi / sides
+        f = np.linspace(0, 1, 7)[:, None]
+        radius = deep / np.cos(np.pi / sides) * (1 - f) ** (1 + p.sag)
+        yield sheet(np.stack([radius * np.cos(turn), radius * np.sin(turn),
+                              np.broadcast_to(tall * f, (7, sides))], -1), wrap=True)  # fmt: skip
+        half = deep
     else:
+        if p.variant == "yurt":
+            half = deep
         yield from _marquee(p, half, deep, tall)
         ground = ground and p.variant != "canopy"
     if ground:
-        yield box(2 * half, 2 * deep, (-0.01, 0))
+        spread = 1 + (p.porch * 1.5 if p.chance(0.2) else 0.0)
+        yield box(2 * half * spread, 2 * deep * spread, (-0.01, 0))
     if p.chance(0.25):
         for side in (-1, 1):
             peg = (side * (half + p.porch * 0.5), deep * 1.1, 0)
@@ -284,7 +297,7 @@ def _house(p: Draw, half: float, deep: float, tall: float) -> Iterable[Solid]:
 
 def _marquee(p: Draw, half: float, deep: float, tall: float) -> Iterable[Solid]:
     """A roof drawn up to a peak, on posts; a marquee has walls."""
-    sides = p.choice((4, 4, 6, 8))
+    sides = p.choice((12, 24)) if p.variant == "yurt" else p.choice((4, 4, 6, 8))
     wall = tall * (0.35 + 0.6 * p.wall)
     turn = np.linspace(0, 2 * np.pi, sides, endpoint=False) + np.pi / sides
     grow = 1 / np.cos(np.pi / sides)
@@ -299,9 +312,10 @@ def _marquee(p: Draw, half: float, deep: float, tall: float) -> Iterable[Solid]:
     yield sheet(np.stack([edge - (0, 0, wall - drop), edge]), wrap=True)
     for corner in rim:
         yield rod((*corner, 0), (*corner, wall), p.pole, 6)
-    if p.variant == "marquee":
-        walls = sheet(np.stack([edge * (1, 1, 0), edge]), wrap=True)
-        yield walls
+    if p.variant != "canopy":
+        drawn_in = 1 - p.eave if p.variant == "yurt" else 1.0
+        foot = edge * (drawn_in, drawn_in, 0)
+        yield sheet(np.stack([foot, edge * (drawn_in, drawn_in, 1)]), wrap=True)
     elif p.chance(0.3):
         yield ring(rod((half * 0.1, 0, 0), (half * 0.1, 0, tall), p.pole), 1)
     if p.chance(0.3):

@@ -59,7 +59,7 @@ def drawer(x: Span, y: Span, z: Span, thick: float, gap: float) -> Iterable[Soli
 @family(
     "night_stand",
     variants={"drawers": 4, "mixed": 3, "leggy": 2.5, "door": 1.5, "open": 1.5},
-    width=(0.42, 0.66), depth=(0.34, 0.5), height=(0.46, 0.78), board=(0.012, 0.035),
+    width=(0.38, 0.74), depth=(0.34, 0.5), height=(0.44, 0.8), board=(0.012, 0.035),
     overhang=(0.0, 0.035), top=(0.012, 0.04), legs=(0.0, 0.14), leg=(0.03, 0.06),
     split=(0.3, 0.62), gap=(0.002, 0.012), handle=(0.008, 0.02), taper=(0.5, 1.1),
     shelf=(0.15, 0.4),
@@ -120,7 +120,8 @@ def _night_stand(p: Draw) -> Iterable[Solid]:
 
 @family(
     "tv_stand",
-    variants={"cabinet": 5, "glass": 3.5, "unit": 2, "console": 2, "tall": 1.5, "plain": 1},
+    variants={"cabinet": 5, "glass": 3.5, "unit": 2, "console": 2, "tall": 1.5, "plain": 1.5,
+              "bench": 2},
     width=(1.0, 1.9), depth=(0.38, 0.78), height=(0.34, 0.75), board=(0.015, 0.045),
     legs=(0.0, 0.16), columns=(0.22, 0.4), level=(0.3, 0.65), bow=(0.0, 0.3), taper=(0.7, 1.0),
     post=(0.02, 0.07), tower=(0.15, 0.28), gap=(0.002, 0.01), handle=(0.008, 0.02),
@@ -133,6 +134,9 @@ def tv_stand(p: Draw) -> Iterable[Solid]:
         return
     if p.variant == "unit":
         yield from _wall_unit(p)
+        return
+    if p.variant == "bench":
+        yield from _low_table(p)
         return
     if p.variant == "tall":
         wide, tall, deep = wide * 0.6, p.width * (0.5 + 0.4 * p.level), deep * 0.8
@@ -203,6 +207,24 @@ def _glass_stand(p: Draw) -> Iterable[Solid]:
         yield both(box((x, x + p.board), 1.5 * deep, (0, tall - p.board)))
 
 
+def _low_table(p: Draw) -> Iterable[Solid]:
+    """A top on legs or panels, with a shelf or a drawer under it, or a board bent into an arch."""
+    wide, deep, tall = p.width / 2, p.depth / 2, p.height
+    yield box(2 * wide, 2 * deep, (tall - p.board, tall))
+    inside = wide * (p.taper if p.chance(0.5) else 1.0)
+    if p.chance(0.5):
+        yield both(box((inside - p.board, inside), 2 * deep * p.taper, (0, tall)))
+    else:
+        yield four(box((inside - p.post, inside), (deep - p.post, deep), (0, tall)))
+    if p.chance(0.8):
+        level = tall * p.level * 0.7
+        yield box(2 * inside, 2 * deep * 0.95, (level, level + p.board))
+    if p.chance(0.3):
+        yield box(2 * inside, 2 * deep * 0.9, (tall * (1 - p.columns), tall))
+    if p.chance(0.3):
+        yield box(2 * inside, (deep * 0.9, deep * 0.95), (tall * p.level, tall))
+
+
 def _wall_unit(p: Draw) -> Iterable[Solid]:
     """Towers beside a low middle, often with a bridge above the screen."""
     wide, deep = p.width / 2, p.depth * 0.35
@@ -227,8 +249,8 @@ def _wall_unit(p: Draw) -> Iterable[Solid]:
 
 @family(
     "wardrobe",
-    variants={"closed": 5, "cased": 3, "corniced": 2, "open": 1, "open_door": 1},
-    width=(0.8, 1.9), depth=(0.42, 0.66), height=(1.7, 2.3), board=(0.015, 0.05),
+    variants={"closed": 4, "cased": 4, "corniced": 2, "open": 1.5, "open_door": 1},
+    width=(0.8, 2.3), depth=(0.36, 0.66), height=(1.7, 2.3), board=(0.015, 0.05),
     plinth=(0.03, 0.16), cornice=(0.02, 0.1), flare=(0.0, 0.06), gap=(0.003, 0.015),
     handle=(0.01, 0.025), drawers=(0.12, 0.3), split=(0.35, 0.65), legs=(0.0, 0.14),
     door_angle=(40.0, 110.0),
@@ -278,8 +300,11 @@ def wardrobe(p: Draw) -> Iterable[Solid]:
         wall = -wide + 2 * wide * p.split
         yield box((wall, wall + p.board), y, (low, tall))
         yield box((-wide, wall), y, (tall * 0.8, tall * 0.8 + p.board))
-        for level in np.linspace(low, tall, p.integer(3, 5))[1:-1]:
+        for level in np.linspace(low, tall, p.integer(3, 6))[1:-1]:
             yield box((wall, wide), y, (level, level + p.board))
+        if p.width > 1.5:
+            wall = -wide * p.split
+            yield box((wall, wall + p.board), y, (low, tall * 0.8))
     if p.variant == "corniced":
         step = p.flare + 0.02
         yield box(2 * (wide + step), (-deep - step, deep), (tall, tall + p.cornice))

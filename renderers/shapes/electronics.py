@@ -148,7 +148,8 @@ def _tube(p: Draw) -> Iterable[Solid]:
 
 @family(
     "radio",
-    variants={"portable": 3, "receiver": 3, "pill": 2, "boombox": 1.5, "handheld": 1, "clock": 1},
+    variants={"portable": 3, "table": 4, "receiver": 2.5, "pill": 1.5, "boombox": 1.2,
+              "handheld": 1.2, "clock": 1, "arched": 1, "stack": 0.7},
     width=(0.8, 1.3), height=(0.3, 0.78), depth=(0.22, 0.55), corner=(0.0, 0.3), panel=(0.3, 0.6),
     knob=(0.03, 0.08), handle=(0.04, 0.18), antenna=(0.3, 0.8), lean=(-50.0, 50.0),
     speaker=(0.25, 0.48), dial=(0.1, 0.3), foot=(0.0, 0.04),
@@ -162,6 +163,10 @@ def radio(p: Draw) -> Iterable[Solid]:
         tall, deep = tall * 0.7, deep * 1.2
     elif p.variant == "handheld":
         half, tall = half * 0.55, tall * 1.6
+    elif p.variant == "table":
+        tall, deep = tall * 0.75, p.width * (0.25 + p.panel)
+    elif p.variant == "arched":
+        half, tall = half * 0.75, tall * 1.15
     front = -deep / 2
     if p.variant == "pill":
         outline = rounded_rectangle(2 * half, (0, tall), tall * (0.25 + p.corner * 0.8), steps=6)
@@ -169,7 +174,16 @@ def radio(p: Draw) -> Iterable[Solid]:
     elif p.variant == "clock":
         wedge = [(front, 0), (-front, 0), (-front * 0.9, tall), (front * (0.3 + p.panel), tall)]
         yield extrude(wedge, 2 * half, "x")
-    elif p.corner > 0.12 and p.variant != "receiver":
+    elif p.variant == "arched":
+        across = np.linspace(-1, 1, 17)
+        curve = np.stack([across * half, tall * (1 - 0.35 * np.abs(across) ** 2.5)], 1)
+        outline = np.concatenate([[(half, 0), (-half, 0)], curve])
+        yield extrude(outline, deep, "y")
+    elif p.variant == "stack":  # a tuner between two boxes
+        middle, side = half * (0.3 + p.panel), half * (1.3 - p.panel) / 2
+        yield box(2 * middle, deep, (0, tall))
+        yield both(box((middle, middle + side), deep * 1.1, (0, tall * 1.05)))
+    elif p.corner > 0.12 and p.variant not in ("receiver", "table"):
         yield rounded_box(2 * half, deep, (0, tall), p.corner * min(tall, deep) * 0.6)
     else:
         yield box(2 * half, deep, (0, tall))
@@ -205,15 +219,19 @@ def radio(p: Draw) -> Iterable[Solid]:
 
 @family(
     "xbox",
-    variants={"slab": 5, "waisted": 3, "rounded": 3, "banded": 1.5, "with_pad": 1,
-              "with_drive": 0.7},
-    width=(0.74, 1.02), thickness=(0.16, 0.4), waist=(0.0, 0.2), corner=(0.1, 0.5),
+    variants={"slab": 5, "waisted": 3, "rounded": 3, "banded": 1.5, "stepped": 0.8, "wide": 0.8,
+              "with_pad": 1, "with_drive": 0.7},
+    width=(0.7, 1.04), thickness=(0.14, 0.46), waist=(0.0, 0.35), corner=(0.1, 0.5),
     step=(0.0, 0.05), step_width=(0.3, 0.7), badge=(0.06, 0.2), tray=(0.3, 0.7),
     groove=(0.2, 0.45), foot=(0.0, 0.02), pad=(0.2, 0.3), side=(0.0, 0.05),
 )  # fmt: skip
 def xbox(p: Draw) -> Iterable[Solid]:
     """A console standing on its short side: the broad faces look to ±y."""
-    wide, thick = p.width, p.thickness
+    wide, thick = p.width * (1.9 if p.variant == "wide" else 1.0), p.thickness
+    if p.variant == "stepped":
+        yield box(wide, thick, (-0.5, p.groove - 0.3))
+        yield box(wide * (0.85 + p.side * 2), thick * 0.7, (p.groove - 0.3, 0.5))
+        return
     if p.variant == "rounded":
         outline = rounded_rectangle(wide, thick, p.corner * thick)
         yield extrude(outline, 1.0)

@@ -12,7 +12,8 @@ from renderers.shapes.solids import Solid, both, box, extrude, sheet, smooth
 
 @family(
     "mantel",
-    variants={"breast": 5, "arched": 3, "surround": 3, "wall": 1, "corner_wood": 0.7},
+    variants={"breast": 3, "arched": 2.5, "fireplace": 3, "surround": 4, "wall": 1,
+              "corner_wood": 0.5},
     width=(1.25, 1.75), depth=(0.45, 0.95), height=(0.85, 1.5), board=(0.03, 0.09),
     plate=(0.15, 0.5), rise=(0.05, 0.2), shelf=(0.0, 0.2), shelf_thickness=(0.03, 0.08),
     jamb=(0.1, 0.25), frieze=(0.14, 0.34), hearth=(0.0, 0.3), skirt=(0.08, 0.35),
@@ -22,6 +23,8 @@ def mantel(p: Draw) -> Iterable[Solid]:
     """The width along x, the hearth to −y."""
     if p.variant in ("breast", "arched"):
         yield from _breast(p)
+    elif p.variant == "fireplace":
+        yield from _fireplace(p)
     else:
         yield from _surround(p)
 
@@ -72,6 +75,35 @@ def _breast(p: Draw) -> Iterable[Solid]:
                                                         bottom + p.rise * tall))  # fmt: skip
         else:
             yield box(2 * half, (front, deep), (bottom - 0.06, bottom))
+
+
+def _fireplace(p: Draw) -> Iterable[Solid]:
+    """A chimney breast with a fire's opening, a shelf over it and a hearth before it."""
+    half, deep, tall = p.width / 2, p.depth / 2, p.height
+    x, top = half * (0.35 + p.jamb), tall * (0.35 + 0.5 * p.plate)
+    arch = np.linspace(-1, 1, 11)
+    lintel = np.stack([arch * x, top - p.rise * 0.6 * tall * arch**2], 1)
+    opening = np.concatenate([[(x, 0), (-x, 0)], lintel])
+    frame = [(-half, 0), (half, 0), (half, tall), (-half, tall)]
+    yield extrude(frame, (-deep, -deep + p.board), "y", holes=[opening])
+    yield both(box((half - p.board, half), (-deep + p.board, deep), (0, tall)))
+    yield box(2 * half, (-deep, deep), (tall - p.board, tall))
+    if p.chance(0.6):
+        yield box(2 * half, (deep - p.board * 0.3, deep), (0, tall))
+    box_deep = min(deep * 1.2, 0.4)
+    inner, outer = -deep + p.board, -deep + p.board + box_deep
+    shift = 0.75 if p.chance(0.7) else 1.0  # the fire box narrows towards its back
+    sides = [[(s * x, inner, z), (s * x * shift, outer, z)] for s in (-1, 1) for z in (0, top)]
+    yield sheet(np.array([sides[0], sides[1]]))
+    yield sheet(np.array([sides[2], sides[3]]))
+    yield box(2 * x * shift, (outer, outer + 0.01), (0, top))
+    level, out = top + p.frieze * tall * 0.3, p.shelf + 0.05
+    yield box(2 * half + out, (-deep - out, -deep + 0.02), (level, level + p.shelf_thickness))
+    if p.chance(0.4):
+        jamb = half * 0.12
+        yield both(box((half - jamb, half + 0.02), (-deep - out * 0.6, -deep), (0, level)))
+    if p.chance(0.7):
+        yield box(2 * half * (0.8 + p.thin), (-deep - p.hearth - 0.1, deep), (-p.board, 0))
 
 
 def _surround(p: Draw) -> Iterable[Solid]:

@@ -43,15 +43,17 @@ def limb(joints: list[Point], thick: float, thin: float) -> Solid:
 @family(
     "person",
     variants={"standing": 4, "walking": 3, "gesturing": 3, "skirted": 1.5, "coated": 1.5,
-              "spread": 1},
+              "spread": 1, "seated": 0.4, "cut_out": 0.5},
     leg=(0.76, 0.9), torso=(0.5, 0.6), shoulder=(0.16, 0.22), hip=(0.085, 0.13),
-    girth=(0.085, 0.15), chest=(0.16, 0.21), arm_out=(2.0, 18.0), elbow=(5.0, 60.0),
+    girth=(0.085, 0.19), chest=(0.16, 0.25), arm_out=(2.0, 18.0), elbow=(5.0, 60.0),
     stride=(8.0, 38.0), stance=(0.0, 7.0), raise_angle=(30.0, 150.0), head=(0.095, 0.125),
     limb=(0.06, 0.085), lean=(-4.0, 12.0), yaw=(-35.0, 35.0), hem=(0.35, 0.95),
 )  # fmt: skip
 def person(p: Draw) -> Iterable[Solid]:
     """A figure of joints and limbs, a metre and three quarters tall."""
     body = join(_figure(p))
+    if p.variant == "cut_out":  # a painted board, as crowds in architects' models are
+        body = body.scaled(y=0.02)
     turn = p.yaw if p.chance(0.5) else 0.2 * p.yaw
     yield body.turned("z", turn)
 
@@ -126,7 +128,7 @@ def _arms(p: Draw, neck_z: float) -> Iterable[Solid]:
             forward = p.stride * 0.8 * side
             bend = p.elbow
         elif p.variant == "spread":
-            outward, bend = 45 + p.raise_angle * 0.3, p.elbow * 0.2
+            outward, bend = 30 + p.raise_angle * 0.4, p.elbow * 0.2
         elif p.variant == "gesturing" and (side == gesture or both_up):
             if p.chance(0.6):
                 forward, bend = p.raise_angle * 0.7, p.elbow
@@ -151,6 +153,8 @@ def _legs(p: Draw) -> Iterable[Solid]:
         if p.variant == "walking":
             forward = p.stride if side == lead else -p.stride * 0.7
             bend = 8.0 if side == lead else p.elbow
+        elif p.variant == "seated":
+            forward, bend = 85.0, 85.0
         elif p.variant == "gesturing" and side == lead:
             forward, bend = p.stride * 0.4, p.stride * 0.5
         knee = hip + swing(thigh, forward, stance, side)

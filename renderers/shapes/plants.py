@@ -89,7 +89,7 @@ def stalk(tip: NDArray[np.float64], base: float, share: float, count: int) -> ND
 @family(
     "plant",
     variants={"potted": 4, "bush": 3, "palm": 2, "grass": 2.5, "flowers": 2, "shrub": 2,
-              "tree": 1.5, "cut_out": 1, "succulent": 1},
+              "tree": 1.5, "cut_out": 1.5, "succulent": 1},
     pot_height=(0.2, 0.6), pot_width=(0.35, 0.75), pot_taper=(0.55, 0.95), pot_rim=(0.0, 0.12),
     reach=(0.4, 1.0), leaf_width=(0.05, 0.2), rise=(35.0, 85.0), droop=(10.0, 110.0),
     crown=(0.3, 0.6), flat=(0.6, 1.3), stem=(0.3, 1.0), leaf_size=(0.04, 0.12), sway=(-0.15, 0.15),
@@ -221,9 +221,15 @@ def _tree(p: Draw) -> Iterable[Solid]:
 
 
 def _cut_out(p: Draw) -> Iterable[Solid]:
-    """Outlines of foliage crossed at the stem, as light-weight models have them."""
+    """Foliage painted on boards: an outline, or a fan of leaves, crossed at the stem or not."""
     turn = np.linspace(0, 2 * np.pi, 41)[:-1]
-    for degrees in (0.0, 90.0)[: p.choice((1, 2))]:
+    fan = p.chance(0.4)
+    for degrees in (0.0, 90.0)[: p.choice((1, 1, 2))]:
+        if fan:
+            for slant in np.linspace(-p.rise, p.rise, p.integer(5, 11)):
+                blade = leaf(p.reach * p.uniform(0.7, 1.0), p.leaf_width * 1.2, 90.0, 0.0)
+                yield blade.turned("x", slant).scaled(x=0.02).turned("z", degrees)
+            continue
         r = p.crown * (1 + 0.25 * p.rng.uniform(-1, 1, 40))
         rim = np.stack([r * np.cos(turn), 0 * turn, r * np.sin(turn) * p.flat + p.crown], 1)
         middle = np.broadcast_to((0.0, 0.0, p.crown), rim.shape)

@@ -48,8 +48,8 @@ def _stack(levels: Sequence[tuple[float, NDArray]], caps: bool = True) -> Solid:
 
 @family(
     "toilet",
-    variants={"tank": 6, "lid_up": 1.5, "wall": 2, "one_piece": 1.5},
-    width=(0.17, 0.24), front=(0.24, 0.34), rim=(0.36, 0.44), foot=(0.4, 0.75),
+    variants={"tank": 6, "lid_up": 1.5, "wall": 3, "one_piece": 1.5, "cistern": 0.7},
+    width=(0.17, 0.24), front=(0.24, 0.4), rim=(0.3, 0.44), foot=(0.4, 0.98),
     foot_length=(0.55, 0.95), waist=(0.55, 0.95), tank_width=(0.17, 0.27), tank_depth=(0.15, 0.22),
     tank_height=(0.26, 0.42), tank_taper=(0.85, 1.0), lid=(0.015, 0.06), back=(0.14, 0.26),
     square=(2.2, 6.0), bowl=(0.1, 0.22),
@@ -84,7 +84,10 @@ def toilet(p: Draw) -> Iterable[Solid]:
     y0 = back - p.tank_depth * 0.3
     depth, wide = p.tank_depth, p.tank_width
     z0, z1 = rim + 0.005, rim + p.tank_height
-    if p.variant == "one_piece":
+    if p.variant == "cistern":  # high on the wall, with its pipe
+        z0, z1, wide = z0 + p.tank_height, z1 + p.tank_height, wide * 0.7
+        yield rod((0, y0 + depth / 2, rim * 0.8), (0, y0 + depth / 2, z0), 0.025, 8)
+    elif p.variant == "one_piece":
         z0, z1, wide = rim * 0.4, rim + p.tank_height * 0.75, max(x * 0.95, wide * 0.8)
     corner = 0.02 + 0.02 * p.foot
     bottom = rounded_rectangle(2 * wide * p.tank_taper, (y0, y0 + depth * 0.92), corner)
@@ -149,7 +152,7 @@ def faucet(reach: float, height: float, thickness: float, arched: bool) -> Solid
     variants={"drop_in": 4, "double": 2, "cabinet": 4, "pedestal": 1, "legs": 0.6, "vessel": 1},
     width=(0.7, 1.2), depth=(0.42, 0.7), bowl=(0.14, 0.3), corner=(0.05, 0.45), draft=(0.02, 0.2),
     offset=(-0.3, 0.3), rim=(0.008, 0.05), tap_height=(0.08, 0.35), tap_reach=(0.1, 0.24),
-    margin=(0.03, 0.12), splash=(0.0, 0.12), cabinet=(0.5, 0.9), share=(0.4, 0.85),
+    margin=(0.012, 0.12), splash=(0.0, 0.12), cabinet=(0.5, 0.9), share=(0.4, 0.85),
 )  # fmt: skip
 def sink(p: Draw) -> Iterable[Solid]:
     """The wall and the tap at +y, the width along x."""

@@ -22,6 +22,7 @@ from renderers.shapes.solids import (
     ring,
     rod,
     rounded_rectangle,
+    sheet,
     smooth,
     superellipse,
     tube,
@@ -209,8 +210,9 @@ def _on_frame(p: Draw, x: float, y: float, under: float) -> Iterable[Solid]:
 
 @family(
     "stool",
-    variants={"legs": 3, "three_legs": 1, "pedestal": 2.5, "star": 1, "backed": 1.5, "hoop": 1},
-    width=(0.3, 0.56), height=(0.6, 0.95), seat=(0.02, 0.12), depth=(0.8, 1.0),
+    variants={"legs": 3.5, "three_legs": 1, "pedestal": 2.5, "star": 1, "backed": 1.5, "hoop": 1,
+              "shell": 1.2},
+    width=(0.3, 0.56), height=(0.5, 0.95), seat=(0.02, 0.12), depth=(0.8, 1.0),
     thickness=(0.02, 0.06), splay=(0.0, 0.09), rest=(0.18, 0.45), foot=(0.35, 0.6),
     taper=(0.6, 1.1), crown=(0.0, 0.03), back=(0.12, 0.3),
 )  # fmt: skip
@@ -219,7 +221,9 @@ def stool(p: Draw) -> Iterable[Solid]:
     wide, height = p.width, p.height
     rounded = p.variant in ("three_legs", "pedestal", "star", "hoop") or p.chance(0.35)
     under = height - p.seat
-    if rounded:
+    if p.variant == "shell":
+        yield from _shell(p, under)
+    elif rounded:
         r = wide / 2
         yield revolve([
             (0, under), (r * 0.9, under), (r, under + p.seat * 0.3), (r, height - p.seat * 0.2),
@@ -230,7 +234,7 @@ def stool(p: Draw) -> Iterable[Solid]:
         shape = p.choice(("box", "soft"))
         yield plate(shape, wide, wide * p.depth, (under, height), 0.15)
         x, y = wide / 2 - p.thickness / 2, wide * p.depth / 2 - p.thickness / 2
-    if p.variant in ("pedestal", "star"):
+    if p.variant in ("pedestal", "star", "shell"):
         yield from _stool_column(p, under)
     elif p.variant == "hoop":
         yield from _stool_hoops(p, under)
@@ -263,6 +267,22 @@ def _stool_legs(p: Draw, x: float, y: float, under: float) -> Iterable[Solid]:
         yield box((side * a - bar / 2, side * a + bar / 2), 2 * b, (level, level + bar))
         lift = level + (bar * 2 if p.chance(0.5) else 0)
         yield box(2 * a, (side * b - bar / 2, side * b + bar / 2), (lift, lift + bar))
+
+
+def _shell(p: Draw, under: float) -> Iterable[Solid]:
+    """A bent seat whose back rises at +x."""
+    half = p.width * 0.45
+    path = smooth([
+        (-half, under - p.seat * 0.5), (-half * 0.8, under), (half * 0.5, under),
+        (half * 0.9, under + 0.04), (half * 1.05, under + p.back),
+    ], 14)  # fmt: skip
+    y = np.linspace(-half, half, 7) * p.depth
+    bowl = (y / half) ** 2 * p.crown
+    surface = np.stack([
+        np.broadcast_to(path[:, :1], (14, 7)), np.broadcast_to(y, (14, 7)), path[:, 1:] + bowl,
+    ], -1)  # fmt: skip
+    yield sheet(surface)
+    yield sheet(surface[:, ::-1] - np.array([0, 0, 0.3 * p.seat]))
 
 
 def _stool_column(p: Draw, under: float) -> Iterable[Solid]:
