@@ -63,7 +63,9 @@ def write_meshes(root: Path, count: int) -> None:
                 trimesh.creation.box(rng.uniform(0.1, 1, 3)).apply_translation(rng.normal(size=3))
                 for _ in range(12)
             ]
-            mesh = trimesh.util.concatenate(boxes).subdivide().subdivide().subdivide()
+            mesh = trimesh.util.concatenate(boxes)
+            for _ in range(3):
+                mesh = mesh.subdivide()
         else:
             mesh = trimesh.creation.icosphere(subdivisions=4)
             mesh.apply_scale(rng.uniform(0.3, 1, 3))

@@ -27,7 +27,7 @@ from renderers.visibility import inside_image, sight_lines, surface_samples
 # A packet of rays costs what the region it crosses costs: 16 neighbours in a 4×4 tile took two
 # thirds of the time of 16 in a row.
 TILE = 4
-# Bounds the memory of one launch (64 MiB of depth); ten views of 256×256 are a sixtieth of it.
+# Bounds the memory of one launch (64 MiB of depth); ten views of 256×256 are a twenty-fifth of it.
 MAX_RAYS = 1 << 24
 NOTHING_SEEN = "no surface at any pixel centre"
 

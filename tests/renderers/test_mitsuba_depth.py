@@ -101,7 +101,7 @@ def distance_to_mesh(mesh: trimesh.Trimesh, view: View, count: int) -> float:
     return float(trimesh.proximity.closest_point(mesh, points)[1].max())
 
 
-@pytest.fixture(params=["llvm_ad_rgb", "scalar_rgb"])
+@pytest.fixture(params=SUPPORTED)
 def variant(request: pytest.FixtureRequest) -> str:
     try:
         return pick_variant(request.param)
