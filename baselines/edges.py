@@ -19,7 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from baselines.points import flat_index
+from baselines.points import flat_index, full_precision
 from baselines.shared_mlp import chunks
 
 
@@ -90,7 +90,8 @@ def edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
     """
     with torch.autocast(a.device.type, enabled=False):
         flat = flat_index(index, a.shape[1]).flatten(0, 1)
-        return _EdgeMoments.apply(a.float().flatten(0, 1), c.float().flatten(0, 1), flat)
+        a, c = full_precision(a).flatten(0, 1), full_precision(c).flatten(0, 1)
+        return _EdgeMoments.apply(a, c, flat)
 
 
 def neighbour_max(a: Tensor, index: Tensor) -> Tensor:

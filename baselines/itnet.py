@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from baselines.pointnet import TransformNet
 from baselines.pointnet2 import PointNet2
-from baselines.points import normalise
+from baselines.points import full_precision, normalise
 from partialbench.benchmark.prediction import Prediction
 
 
@@ -43,11 +43,11 @@ class ITNetPointNet2(nn.Module):
         The points that enter an iteration carry no gradient, as published: it reaches earlier
         iterations only through the product of the transforms.
         """
-        R = torch.eye(3, device=points.device).expand(len(points), 3, 3)
+        R = torch.eye(3, device=points.device, dtype=points.dtype).expand(len(points), 3, 3)
         t = points.new_zeros(len(points), 3)
         for _ in range(self.iterations):
             moved = (points @ R.mT + t[:, None]).detach()
-            numbers = self.transform(moved).float()
+            numbers = full_precision(self.transform(moved))
             with torch.autocast(points.device.type, enabled=False):
                 wxyz = F.normalize(numbers[:, :4], dim=1)
                 R_step = roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(wxyz))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from baselines.points import normalise
+from baselines.points import full_precision, normalise
 from baselines.shared_mlp import SharedMLP, head
 from partialbench.benchmark.prediction import Prediction
 
@@ -47,8 +47,8 @@ def orthogonality_penalty(transform: Tensor) -> Tensor:
 
     Summed, not averaged, over the batch: the release applies TensorFlow's l2_loss to all of it.
     """
-    transform = transform.float()
-    identity = torch.eye(transform.shape[-1], device=transform.device)
+    transform = full_precision(transform)
+    identity = torch.eye(transform.shape[-1], device=transform.device, dtype=transform.dtype)
     return (transform @ transform.mT - identity).square().sum() / 2
 
 

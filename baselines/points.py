@@ -1,8 +1,8 @@
 """Operations on batches of point clouds in plain torch: the same on CPU and GPU.
 
 Shapes are written with B clouds, N points, M or S centres, n or k neighbours, C channels. Geometry
-is computed in float32 whatever the autocast state, and carries no gradient: neighbours are chosen,
-not differentiated. Nothing here makes a (B,N,N,C) tensor.
+is computed in full precision whatever the autocast state, and carries no gradient: neighbours are
+chosen, not differentiated. Nothing here makes a (B,N,N,C) tensor.
 """
 
 from __future__ import annotations
@@ -36,6 +36,11 @@ def _geometry(function: Callable[P, T]) -> Callable[P, T]:
     return wrapped
 
 
+def full_precision(values: Tensor) -> Tensor:
+    """The values in float32, or float64 if they are: never in a half precision."""
+    return values.to(torch.promote_types(values.dtype, torch.float32))
+
+
 def normalise(points: Tensor) -> Tensor:
     """Subtracts each cloud's mean point and scales its largest norm to ``RADIUS``.
 
@@ -43,7 +48,7 @@ def normalise(points: Tensor) -> Tensor:
         points: (B,N,3) floating, any frame and unit.
 
     Returns:
-        (B,N,3) float32. A cloud whose points all coincide becomes zeros.
+        (B,N,3) float32, or float64 if the input is. Points that all coincide become zeros.
 
     Raises:
         InputError: for another shape or dtype.
@@ -56,20 +61,21 @@ def normalise(points: Tensor) -> Tensor:
         raise InputError(f"clouds must have points, got an empty tensor {tuple(points.shape)}")
     # In double precision the mean does not depend on the order of the points, so neither does
     # anything computed from the centred cloud.
-    centred = (points.double() - points.double().mean(dim=1, keepdim=True)).float()
+    points = full_precision(points)
+    centred = (points.double() - points.double().mean(dim=1, keepdim=True)).to(points.dtype)
     largest = torch.linalg.vector_norm(centred, dim=-1).amax(dim=1)
     return centred * (RADIUS / largest.clamp_min(1e-12))[:, None, None]
 
 
 @_geometry
 def distances(a: Tensor, b: Tensor) -> Tensor:
-    """Euclidean distances (B,M,N) float32 between (B,M,C) and (B,N,C).
+    """Euclidean distances (B,M,N) between (B,M,C) and (B,N,C).
 
     Coordinates (C ≤ 4) are subtracted, which keeps all digits between near points; features go
     through a matrix product, |a|² + |b|² − 2a·b, which is faster and good to about 1e-3·|a|.
     """
     mode = "donot_use_mm_for_euclid_dist" if a.shape[-1] <= 4 else "use_mm_for_euclid_dist"
-    return torch.cdist(a.float(), b.float(), compute_mode=mode)
+    return torch.cdist(full_precision(a), full_precision(b), compute_mode=mode)
 
 
 @_geometry
@@ -90,7 +96,7 @@ def knn(points: Tensor, k: int) -> Tensor:
         nearness = distances(points, points).neg_()
     else:
         # |a|² is the same for a whole row: only |b|² − 2a·b orders the neighbours.
-        points = points.float()
+        points = full_precision(points)
         norms = points.square().sum(dim=-1)
         nearness = torch.baddbmm(-norms[:, None], points, points.mT, alpha=2)
     return nearness.topk(k, dim=-1, sorted=False).indices
@@ -110,7 +116,7 @@ def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> 
             it in evaluation.
     """
     batch, number, _ = points.shape
-    planes = points.float().mT.contiguous()
+    planes = full_precision(points).mT.contiguous()
     nearest = planes.new_full((batch, number), torch.inf)
     chosen = torch.zeros(batch, count, dtype=torch.long, device=points.device)
     last = chosen[:, 0] if start is None else start

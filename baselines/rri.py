@@ -29,6 +29,7 @@ from baselines.pointnet2 import PointNet2
 from baselines.points import (
     distances,
     farthest_from_centre,
+    full_precision,
     gather,
     normalise,
 )
@@ -62,7 +63,7 @@ def rri(points: Tensor, k: int = NEIGHBOURS) -> Tensor:
     Neighbours are the k nearest other points, in no particular order.
     """
     with torch.autocast(points.device.type, enabled=False):
-        points = points.float()
+        points = full_precision(points)
         distance = distances(points, points)
         distance.diagonal(dim1=1, dim2=2).fill_(torch.inf)
         q = gather(points, distance.topk(k, dim=-1, largest=False, sorted=False).indices)

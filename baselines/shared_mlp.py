@@ -170,7 +170,7 @@ class NormLinear(Normed):
         with torch.autocast(x.device.type, enabled=False):
             moments, count = None, x.numel() // x.shape[-1]
             if self.norm.training:
-                x_mean, covariance = _Moments.apply(x.float().reshape(count, -1))
+                x_mean, covariance = _Moments.apply(x.to(weight.dtype).reshape(count, -1))
                 var = ((weight @ covariance) * weight).sum(dim=1).clamp_min(0)
                 moments = F.linear(x_mean, weight, bias), var
             scale, shift = self.scale_and_shift(moments, count)

@@ -73,7 +73,11 @@ class DGCNN(nn.Module):
             conv_mlp(2, 2 * a, b, bias=False, slope=0.2) for a, b in pairwise((3, 64, 64, 128, 256))
         )
         self.embed = conv_mlp(1, 512, 1024, bias=False, slope=0.2)
-        self.head = fc_head(2048, 512, 256, num_classes, dropout=0.5)
+        self.head = nn.Sequential(
+            nn.Linear(2048, 512, bias=False), nn.BatchNorm1d(512), nn.LeakyReLU(0.2),
+            nn.Dropout(0.5), nn.Linear(512, 256), nn.BatchNorm1d(256), nn.LeakyReLU(0.2),
+            nn.Dropout(0.5), nn.Linear(256, num_classes),
+        )  # fmt: skip
 
     def edges(self, x: Tensor) -> Tensor:
         """(B,C,N) → (B,2C,N,k): every neighbour relative to its centre, and the centre."""
@@ -107,7 +111,7 @@ def at(points: Tensor, index: Tensor) -> Tensor:
 def sample(points: Tensor, count: int) -> Tensor:
     batch, number, _ = points.shape
     chosen = torch.zeros(batch, count, dtype=torch.long, device=points.device)
-    distance = torch.full((batch, number), 1e10, device=points.device)
+    distance = torch.full((batch, number), 1e10, device=points.device, dtype=points.dtype)
     last = torch.zeros(batch, dtype=torch.long, device=points.device)
     rows = torch.arange(batch, device=points.device)
     for i in range(count):
@@ -195,7 +199,7 @@ class ITNetPointNet2(nn.Module):
         self.classifier = PointNet2(num_classes)
 
     def forward(self, points: Tensor) -> Tensor:
-        R = torch.eye(3, device=points.device).expand(len(points), 3, 3)
+        R = torch.eye(3, device=points.device, dtype=points.dtype).expand(len(points), 3, 3)
         t = points.new_zeros(len(points), 1, 3)
         for _ in range(2):
             numbers = self.tnet((points @ R.mT + t).detach().mT)

@@ -1,0 +1,219 @@
+"""What every registered model must do, and what its card claims of it."""
+
+from __future__ import annotations
+
+import copy
+import functools
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from partialbench import registry
+from partialbench.benchmark.prediction import Prediction
+from partialbench.geometry.bins import NUM_BINS
+from partialbench.geometry.rotations import haar_rotations
+
+CARDS = registry.cards()
+CLASSES = 40
+NUM_POINTS = 600
+
+
+def heavy(name: str) -> bool:
+    """Whether the model works on a dense grid, where a batch takes seconds on one core."""
+    return "64³" in CARDS[name].representation or "64^3" in CARDS[name].representation
+
+
+every_model = pytest.mark.parametrize("name", CARDS)
+
+
+@functools.cache
+def clouds(count: int = 8) -> Tensor:
+    """Partial surfaces of boxes and ellipsoids, (count,600,3) float32 in the camera frame."""
+    rng = np.random.default_rng(5)
+    shapes = []
+    for i in range(count):
+        direction = rng.normal(size=(NUM_POINTS, 3))
+        norm = np.abs(direction).max(axis=1) if i % 2 else np.linalg.norm(direction, axis=1)
+        shape = direction / norm[:, None] * rng.uniform(0.2, 1, 3)
+        shape[:, i % 3] = np.abs(shape[:, i % 3])
+        shapes.append(shape @ haar_rotations(rng, 1)[0].T + rng.uniform((-2, -2, 2), (2, 2, 5)))
+    return torch.from_numpy(np.stack(shapes)).float()
+
+
+def fresh(name: str, classes: int = CLASSES) -> nn.Module:
+    torch.manual_seed(0)
+    return registry.create(name, classes)
+
+
+@functools.cache
+def settled(name: str) -> nn.Module:
+    """A model in evaluation whose batch norms have seen data and no parameter is at a special
+    value (transforms that start at the identity, norms at scale 1). Shared: do not change it."""
+    model = fresh(name)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.02 * torch.randn_like(parameter))
+        for module in model.modules():
+            if isinstance(module, nn.modules.batchnorm._BatchNorm):
+                module.momentum = 0.5
+        batch = clouds()[:2] if heavy(name) else clouds()
+        for _ in range(1 if heavy(name) else 6):
+            model.train()(batch)
+    return model.eval()
+
+
+def logits(model: nn.Module, points: Tensor) -> Tensor:
+    with torch.no_grad():
+        return model(points).class_logits
+
+
+@every_model
+def test_parameter_counts_are_the_cards(name: str) -> None:
+    counts = {k: sum(p.numel() for p in fresh(name, k).parameters()) for k in (40, 15)}
+    assert counts == {k: CARDS[name].parameters[k] for k in (40, 15)}
+
+
+@every_model
+def test_shapes(name: str) -> None:
+    for classes in (2, 15):
+        out = fresh(name, classes).eval()(clouds()[:2])
+        assert isinstance(out, Prediction)
+        assert out.class_logits.shape == (2, classes)
+        assert out.class_logits.isfinite().all()
+        assert out.pose_logits is None or out.pose_logits.shape == (2, NUM_BINS)
+        assert out.penalty is None or out.penalty.shape == ()
+
+
+@every_model
+def test_evaluation_is_deterministic_and_takes_one_cloud(name: str) -> None:
+    model, points = settled(name), clouds()[:3]
+    whole = logits(model, points)
+    assert torch.equal(whole, logits(model, points))
+    scale = float(whole.abs().max())
+    for i in range(3):
+        torch.testing.assert_close(
+            logits(model, points[i : i + 1]), whole[i : i + 1], atol=1e-5 * scale, rtol=0
+        )
+
+
+@every_model
+def test_other_numbers_of_points_are_taken(name: str) -> None:
+    for number in (256, 1024):
+        points = clouds()[:2, torch.arange(number) % NUM_POINTS]
+        assert logits(settled(name), points).isfinite().all()
+
+
+@every_model
+def test_logits_depend_on_the_cloud(name: str) -> None:
+    out = logits(settled(name), clouds()[:3])
+    assert (out[0] - out[1]).abs().max() > 1e-3 * out.abs().max()
+
+
+@every_model
+def test_a_gradient_reaches_every_parameter(name: str) -> None:
+    """After one noisy step away from layers that start at zero. A bias that a following batch norm
+    cancels has a gradient of rounding only, so biases need merely be reached."""
+    model = copy.deepcopy(settled(name)).train()
+    out = model(clouds()[:2] if heavy(name) else clouds()[:4])
+    weights = torch.randn(out.class_logits.shape, generator=torch.Generator().manual_seed(1))
+    loss = (out.class_logits * weights).sum()
+    if out.pose_logits is not None:
+        loss = loss + out.pose_logits.log_softmax(dim=-1)[:, 7].sum()
+    if out.penalty is not None:
+        loss = loss + out.penalty
+    loss.backward()
+    for key, parameter in model.named_parameters():
+        assert parameter.grad is not None, key
+        assert parameter.grad.isfinite().all(), key
+        assert key.endswith("bias") or parameter.grad.any(), key
+
+
+@pytest.mark.parametrize(
+    "name", [n if n == "pointnet" else pytest.param(n, marks=pytest.mark.slow) for n in CARDS]
+)
+def test_eight_clouds_are_overfitted(name: str) -> None:
+    """All eight are told apart in evaluation mode; a model of a wrong graph or gradient is not."""
+    model, points, label = fresh(name), clouds(), torch.arange(8)
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-3)
+    for step in range(120):
+        out = model.train()(points)
+        loss = nn.functional.cross_entropy(out.class_logits, label)
+        if out.penalty is not None:
+            loss = loss + out.penalty
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        if step % 10 == 9 and (logits(model.eval(), points).argmax(dim=-1) == label).all():
+            return
+    pytest.fail(f"{name}: {logits(model, points).argmax(dim=-1).tolist()} after {step + 1} steps")
+
+
+def largest_change(name: str, change: Callable[[Tensor], Tensor], trials: int) -> float:
+    """The largest difference a change of the clouds makes, relative to the largest logit."""
+    points = clouds()[:1] if heavy(name) else clouds()
+    before = logits(settled(name), points)
+    scale = max(1.0, float(before.abs().max()))
+    return max(
+        float((logits(settled(name), change(points)) - before).abs().max()) / scale
+        for _ in range(trials)
+    )
+
+
+@every_model
+def test_claimed_permutation_invariance_holds(name: str) -> None:
+    if "permutation" not in CARDS[name].invariances:
+        pytest.skip(f"{name} does not claim permutation invariance")
+    rng = np.random.default_rng(1)
+
+    def permute(points: Tensor) -> Tensor:
+        return points[:, torch.from_numpy(rng.permutation(points.shape[1]))]
+
+    assert largest_change(name, permute, trials=1 if heavy(name) else 3) <= 1e-4
+
+
+@every_model
+def test_rotation_invariance_is_as_claimed(name: str) -> None:
+    """Holds to 1e-4 for rotations about the camera where the card claims it; else it does not."""
+    rng = np.random.default_rng(2)
+
+    def turn(points: Tensor) -> Tensor:
+        R = torch.from_numpy(haar_rotations(rng, len(points)))
+        return (points.double() @ R.mT).float()
+
+    change = largest_change(name, turn, trials=1 if heavy(name) else 4)
+    if "rotation" in CARDS[name].invariances:
+        assert change <= 1e-4
+    else:
+        assert change > 1e-3, f"{name} claims no rotation invariance but shows it: {change:.1e}"
+
+
+@every_model
+def test_runs_in_bfloat16_autocast(name: str) -> None:
+    model, points = settled(name), clouds()[:2]
+    full = logits(model, points)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        half = logits(model, points).float()
+        out = copy.deepcopy(model).train()(points)
+    assert half.isfinite().all()
+    # Eight bits of mantissa, and a discrete choice may tip: the same answer, not the same digits.
+    alike = nn.functional.cosine_similarity(half - half.mean(1, True), full - full.mean(1, True))
+    assert alike.min() > 0.9
+    out.class_logits.float().logsumexp(dim=-1).sum().backward()
+
+
+@every_model
+def test_state_survives_save_and_load(name: str) -> None:
+    file = io.BytesIO()
+    torch.save(settled(name).state_dict(), file)
+    file.seek(0)
+    torch.manual_seed(1)
+    other = registry.create(name, CLASSES)
+    state: dict[str, Any] = torch.load(file, weights_only=True)
+    other.load_state_dict(state)
+    points = clouds()[:2]
+    assert torch.equal(logits(other.eval(), points), logits(settled(name), points))
