@@ -59,8 +59,8 @@ def settled(name: str) -> nn.Module:
         for parameter in model.parameters():
             parameter.add_(0.02 * torch.randn_like(parameter))
         for module in model.modules():
-            if isinstance(module, nn.modules.batchnorm._BatchNorm):
-                module.momentum = 0.5
+            if isinstance(getattr(module, "momentum", None), float):  # any batch normalisation
+                module.momentum = 1.0 if heavy(name) else 0.5
         batch = clouds()[:2] if heavy(name) else clouds()
         for _ in range(1 if heavy(name) else 6):
             model.train()(batch)
