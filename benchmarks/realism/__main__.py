@@ -38,10 +38,15 @@ class Kind(StrEnum):
 @app.command()
 def occupancy(real_file: REAL, out: OUT, cache: CACHE, per_class: PER_CLASS = 200) -> None:
     """Draw mean occupancy of real train clouds beside parametric ones, one picture a class."""
-    made = parametric(cache, range(per_class))
-    overlaps = occupancies.draw(real(real_file, "train"), made, out)
+    kept, made = real(real_file, "train"), parametric(cache, range(per_class))
+    overlaps = occupancies.draw(kept, made, out)
+    typer.echo("overlap of projections, and in space after turns of 0, 90, 180, 270° about z")
     for name, value in sorted(overlaps.items(), key=lambda item: item[1]):
-        typer.echo(f"{value:.2f}  {name}")
+        label = MODELNET40.index(name)
+        turned = occupancies.overlaps_by_yaw(
+            kept.points[kept.labels == label], made.points[made.labels == label]
+        )
+        typer.echo(f"{value:.2f}  {' '.join(f'{v:.2f}' for v in turned)}  {name}")
 
 
 @app.command()

@@ -84,13 +84,14 @@ def parametric(cache: Path, indices: range) -> Clouds:
     for name, family in FAMILIES.items():
         file = cache / f"{name}-{indices.start}-{indices.stop}-{_digest(family)}.npy"
         if not file.is_file():
-            np.save(file, np.stack([_sample(family, i) for i in indices]))
+            np.save(file, np.stack([sample_cloud(family, i) for i in indices]))
         points.append(np.load(file))
         labels.append(np.full(len(indices), MODELNET40.index(name)))
     return Clouds(np.concatenate(points), np.concatenate(labels))
 
 
-def _sample(family: Family, index: int) -> NDArray[np.float32]:
+def sample_cloud(family: Family, index: int) -> NDArray[np.float32]:
+    """(1024,3) points drawn uniformly from the surface of one object."""
     mesh = family.mesh(index, PARAMETRIC_SEED)
     rng = generator(PARAMETRIC_SEED, "realism", family.name, index)
     return normalise(np.asarray(trimesh.sample.sample_surface(mesh, POINTS, seed=rng)[0]))

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from benchmarks.realism.clouds import Clouds
 from partialbench.dataset.categories import MODELNET40
+from partialbench.geometry.rotations import axis_rotation
 
 BINS = 48
+SPACE_BINS = 16
 _VIEWS = {"front (x, z), from −y": (0, 2), "side (y, z), from +x": (1, 2), "top (x, y)": (0, 1)}
 
 
@@ -30,6 +32,23 @@ def projection(points: NDArray, axes: tuple[int, int]) -> NDArray[np.float64]:
 def overlap(a: NDArray, b: NDArray) -> float:
     """Shared mass of two distributions: 1 for equal ones, 0 for disjoint ones."""
     return float(np.minimum(a, b).sum() / max(a.sum(), b.sum()))
+
+
+def overlaps_by_yaw(real: NDArray, made: NDArray) -> NDArray[np.float64]:
+    """(4,) overlap of mean occupancy in space after turns of ``made`` by 0, 90, 180, 270° of yaw.
+
+    Args:
+        real, made: (M,N,3) normalised clouds of one class; a family in its class's frame overlaps
+            best unturned, up to the class's symmetry.
+    """
+
+    def occupancy(points: NDArray) -> NDArray[np.float64]:
+        counts, _ = np.histogramdd(points.reshape(-1, 3), SPACE_BINS, [(-1, 1)] * 3)
+        return counts / counts.sum()
+
+    still = occupancy(real)
+    turns = [np.round(axis_rotation("z", k * np.pi / 2)) for k in range(4)]
+    return np.array([overlap(still, occupancy(made @ turn.T)) for turn in turns])
 
 
 def draw(real: Clouds, made: Clouds, folder: Path) -> dict[str, float]:

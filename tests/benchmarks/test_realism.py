@@ -9,9 +9,10 @@ import torch
 
 from benchmarks.realism import clouds as clouds_module
 from benchmarks.realism.__main__ import confusion_matrix, report
-from benchmarks.realism.clouds import Clouds, normalise, parametric, real
-from benchmarks.realism.occupancy import overlap, projection
+from benchmarks.realism.clouds import Clouds, normalise, parametric, real, sample_cloud
+from benchmarks.realism.occupancy import overlap, overlaps_by_yaw, projection
 from benchmarks.realism.pointnet import MAX_SCALE, augment
+from partialbench.dataset.categories import MODELNET40
 from renderers.shapes.catalogue import FAMILIES
 
 
@@ -91,7 +92,28 @@ def test_the_report_counts_by_true_class() -> None:
     assert "bottle       recall 100%  precision  50%  taken for nothing else" in text
 
 
-def test_real_files_are_read_whole(shared) -> None:
-    found = real(shared / "data" / "modelnet40_aligned_1024.h5", "train")
-    assert found.points.shape == (9843, 1024, 3)
-    assert np.linalg.norm(found.points, axis=-1).max() == pytest.approx(1, abs=1e-6)
+def test_a_turned_class_is_found_out() -> None:
+    rng = np.random.default_rng(0)
+    corner = rng.uniform(0.1, 0.9, (20, 50, 3))  # all of it in one octant
+    quarter = corner[..., [1, 0, 2]] * (-1, 1, 1)  # turned by 90° about z
+    np.testing.assert_allclose(overlaps_by_yaw(quarter, corner), [0, 1, 0, 0], atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def kept(shared) -> Clouds:
+    return real(shared / "data" / "modelnet40_aligned_1024.h5", "train")
+
+
+def test_real_files_are_read_whole(kept) -> None:
+    assert kept.points.shape == (9843, 1024, 3)
+    assert np.linalg.norm(kept.points, axis=-1).max() == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("label", range(40))
+def test_each_family_stands_in_the_frame_of_its_class(label: int, kept) -> None:
+    family = FAMILIES[MODELNET40[label]]
+    made = np.stack([sample_cloud(family, i) for i in range(60)])
+    unturned, *turned = overlaps_by_yaw(kept.points[kept.labels == label], made)
+    assert unturned > 0.65
+    assert unturned > max(turned) - 0.03
