@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from leaderboard import tables
+from leaderboard import figures, gallery, page, tables
 from leaderboard.board import make_board
 from leaderboard.check import problems
 from leaderboard.comparison import compare
@@ -14,12 +15,20 @@ from partialbench.errors import InputError
 
 
 def build_leaderboard(
-    results_folder: Path | str, out: Path | str, check: bool = False
+    results_folder: Path | str,
+    out: Path | str,
+    check: bool = False,
+    data: Sequence[Path | str] = (),
 ) -> list[Path]:
-    """Writes leaderboard.md, .csv and .tex; returns what was written.
+    """Writes leaderboard.md, .csv, .tex and .html, and figures/*.svg and *.png; returns the paths.
+
+    The same records (and data) give the same bytes.
 
     Args:
         check: recompute every score from the stored predictions first.
+        data: data folders the records were tested on: the page shows clouds on which the models
+            disagree from those whose digest fits. They become part of the page; whoever passes it
+            on needs the right to.
 
     Raises:
         InputError: no records, or some that cannot be trusted: all that is wrong is listed, and
@@ -39,12 +48,23 @@ def build_leaderboard(
         )
     board = make_board(records)
     comparisons = [compare(column, folder) for column in board.columns]
-    contents = {
-        "leaderboard.md": tables.as_markdown(board, comparisons),
-        "leaderboard.csv": tables.as_csv(board, comparisons),
-        "leaderboard.tex": tables.as_latex(board, comparisons),
+    test_sets = [gallery.open_test_split(Path(each)) for each in data]
+    drawn = figures.draw_all(board, comparisons, folder)
+    svgs = {
+        name: (caption, figures.to_bytes(figure, "svg"))
+        for name, (caption, figure) in drawn.items()
     }
-    out.mkdir(parents=True, exist_ok=True)
-    for name, text in contents.items():
-        write_atomically(out / name, text.encode())
+    galleries = [gallery.disagreements(column, folder, test_sets) for column in board.columns]
+    contents = {
+        "leaderboard.md": tables.as_markdown(board, comparisons).encode(),
+        "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
+        "leaderboard.tex": tables.as_latex(board, comparisons).encode(),
+        "leaderboard.html": page.as_html(board, comparisons, svgs, galleries).encode(),
+    }
+    for name, (_, figure) in drawn.items():
+        contents[f"figures/{name}.svg"] = svgs[name][1]
+        contents[f"figures/{name}.png"] = figures.to_bytes(figure, "png")
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    for name, content in contents.items():
+        write_atomically(out / name, content)
     return [out / name for name in contents]

@@ -68,9 +68,10 @@ def compare(column: Column, folder: Path) -> Comparison:
 
 def correct(result: Result, folder: Path) -> tuple[NDArray, NDArray, NDArray]:
     """Of a result's counted clouds: row numbers, object ids, and whether the class is right."""
-    stored = results.read_predictions(folder, result)
     predictions, label = shared_clouds(
-        stored, result.train_data.class_names, result.test_data.class_names
+        results.read_predictions(folder, result),
+        result.train_data.class_names,
+        result.test_data.class_names,
     )
     return predictions.rows, predictions.object_ids, predictions.predicted == label
 

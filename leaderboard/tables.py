@@ -17,7 +17,7 @@ def as_markdown(board: Board, comparisons: list[Comparison]) -> str:
     for column, comparison in zip(board.columns, comparisons, strict=True):
         parts += [f"## {column.title}\n", describe(column) + "\n"]
         head = ["model", "input", "accuracy", "95 % interval", "group", "over classes"]
-        crossed = _crosses(column)
+        crossed = crosses(column)
         if crossed:
             head.append("shared classes only")
         posed = any(cell.results[0].scores["pose"] for cell in column.cells.values())
@@ -208,6 +208,7 @@ def engineering(count: float) -> str:
     return f"{count:.0f}"
 
 
-def _crosses(column: Column) -> bool:
+def crosses(column: Column) -> bool:
+    """Whether training and test data have different classes."""
     first = next(iter(column.cells.values())).results[0]
     return set(first.train_data.class_names) != set(first.test_data.class_names)

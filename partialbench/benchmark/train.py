@@ -92,8 +92,8 @@ class Trained:
     Attributes:
         history: one row an epoch, as in log.csv.
         summary: epochs, steps, clouds seen, seconds (wall time of all its parts, interruptions not
-            counted), median clouds per second, the last epoch's loss and validation accuracy, peak
-            memory.
+            counted), median clouds per second, the last epoch's loss and validation accuracy and
+            the curves of both, peak memory.
     """
 
     model: nn.Module
@@ -194,6 +194,10 @@ def train(
             "clouds_per_second": float(np.median([r["clouds_per_second"] for r in history])),
             "train_loss": history[-1]["train_loss"],
             "validation_accuracy": history[-1]["validation_accuracy"],
+            "curve": {
+                name: [None if r[name] is None else round(r[name], 5) for r in history]
+                for name in ("train_loss", "validation_accuracy")
+            },
             "peak_memory_bytes": audit.peak_memory_bytes(fabric.device),
         }
 

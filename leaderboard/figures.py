@@ -1,0 +1,193 @@
+"""The board's figures as SVG and PNG, the same bytes for the same records."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from leaderboard.board import Board, Column, ranked
+from leaderboard.comparison import Comparison
+from leaderboard.tables import row_title
+from partialbench.benchmark import results
+from partialbench.benchmark.metrics import confusion, shared_clouds
+
+# Ids inside an SVG are hashed with this; matplotlib would draw them at random.
+_STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "partialbench", "svg.fonttype": "path", "font.size": 9,
+    "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150,
+}  # fmt: skip
+SETTINGS = ("aligned", "rotated", "partial")
+
+
+def draw_all(
+    board: Board, comparisons: list[Comparison], folder: Path
+) -> dict[str, tuple[str, Figure]]:
+    """File stem → (caption, figure). Only figures that have something to show are made."""
+    figures: dict[str, tuple[str, Figure]] = {}
+    with mpl.rc_context(_STYLE):
+        settings = _by_setting(board)
+        if settings is not None:
+            figures["settings"] = ("Aligned, rotated and partial clouds", settings)
+        for number, (column, comparison) in enumerate(
+            zip(board.columns, comparisons, strict=True), 1
+        ):
+            figures[f"accuracy_{number}"] = (
+                f"Accuracy with 95 % intervals over objects: {column.title}",
+                _accuracy(column, comparison),
+            )
+            figures[f"visibility_{number}"] = (
+                f"Accuracy against the share of the surface that is seen: {column.title}",
+                _visibility(column),
+            )
+            figures[f"cost_{number}"] = (
+                f"Accuracy against multiply-adds of one cloud: {column.title}", _cost(column),
+            )  # fmt: skip
+            pose = _top_k(column)
+            if pose is not None:
+                figures[f"pose_{number}"] = (
+                    f"Top-k accuracy of the pose bin: {column.title}",
+                    pose,
+                )
+            figures[f"confusion_{number}"] = (
+                f"Confusion of {row_title(column.cells[ranked(column)[0]].results[0])}, all seeds: "
+                f"{column.title}",
+                _confusion(column, folder),
+            )
+    return figures
+
+
+def to_bytes(figure: Figure, kind: str) -> bytes:
+    """The figure as "svg" or "png", without the date matplotlib would add."""
+    buffer = io.BytesIO()
+    metadata = {"Date": None} if kind == "svg" else {"Software": None}
+    with mpl.rc_context(_STYLE):
+        figure.savefig(buffer, format=kind, metadata=metadata, bbox_inches="tight")
+    return buffer.getvalue()
+
+
+def _new(width: float = 5.2, height: float = 3.2) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(width, height))
+    return figure, figure.subplots()
+
+
+def _accuracy(column: Column, comparison: Comparison) -> Figure:
+    names = ranked(column)
+    figure, axes = _new(5.2, 0.8 + 0.28 * len(names))
+    means = [100 * column.cells[name].mean() for name in names]
+    axes.barh(range(len(names)), means, color="#4878a8", height=0.7)
+    for i, name in enumerate(names):
+        low, high = comparison.intervals[name]
+        axes.plot([100 * low, 100 * high], [i, i], color="black", linewidth=1)
+        paper = column.cells[name].results[0].card["paper_scores"].get(column.reported)
+        if paper is not None:
+            axes.plot(paper, i, marker="D", color="#c44e52", markersize=4)
+    axes.set_yticks(range(len(names)), [row_title(column.cells[n].results[0]) for n in names])
+    axes.invert_yaxis()
+    axes.set_xlim(0, 100)
+    axes.set_xlabel(
+        "accuracy (%)" + ("; diamond: the paper's, on its data" if column.reported else "")
+    )
+    return figure
+
+
+def _by_setting(board: Board) -> Figure | None:
+    """Bars for each model over the settings of one data set, where there are two or more."""
+    families: dict[tuple[str, str], dict[str, Column]] = {}
+    for column in board.columns:
+        train_id, setting, _, test_id, test_setting, _, protocol = column.key
+        if train_id == test_id and setting == test_setting:
+            families.setdefault((train_id, protocol), {})[setting] = column
+    found = [family for family in families.values() if len(family) > 1]
+    if not found:
+        return None
+    columns = max(found, key=len)
+    shown = [s for s in SETTINGS if s in columns]
+    names = sorted({name for s in shown for name in columns[s].cells})
+    figure, axes = _new(1.5 + 0.7 * len(names))
+    for i, setting in enumerate(shown):
+        cells = columns[setting].cells
+        heights = [100 * cells[name].mean() if name in cells else 0.0 for name in names]
+        axes.bar(np.arange(len(names)) + 0.27 * i, heights, 0.25, label=setting)
+    axes.set_xticks(np.arange(len(names)) + 0.27, names, rotation=30, ha="right")
+    axes.set_ylabel("accuracy (%)")
+    axes.legend(frameon=False)
+    return figure
+
+
+def _visibility(column: Column) -> Figure:
+    figure, axes = _new()
+    for name in ranked(column):
+        rows = [r.scores["visibility"] for r in column.cells[name].results]
+        seen = [i for i, bin_ in enumerate(rows[0]) if bin_["clouds"] > 0]
+        centres = [50 * (rows[0][i]["from"] + rows[0][i]["to"]) for i in seen]
+        means = [100 * float(np.mean([row[i]["accuracy"] for row in rows])) for i in seen]
+        axes.plot(centres, means, marker="o", markersize=3, linewidth=1, label=_label(column, name))
+    axes.set_xlabel("visible surface (%)")
+    axes.set_ylabel("accuracy (%)")
+    _legend(axes)
+    return figure
+
+
+def _cost(column: Column) -> Figure:
+    figure, axes = _new()
+    for name in ranked(column):
+        cell = column.cells[name]
+        x, y = cell.results[0].cost["multiply_adds"], 100 * cell.mean()
+        axes.plot(max(x, 1), y, marker="o")
+        axes.annotate(_label(column, name), (max(x, 1), y), (4, 3), textcoords="offset points")
+    axes.set_xscale("log")
+    axes.margins(0.15)
+    axes.set_xlabel("multiply-adds of one cloud")
+    axes.set_ylabel("accuracy (%)")
+    return figure
+
+
+def _top_k(column: Column) -> Figure | None:
+    posed = [n for n in ranked(column) if column.cells[n].results[0].scores["pose"]]
+    if not posed:
+        return None
+    figure, axes = _new()
+    for name in posed:
+        curves = [r.scores["pose"]["top_k"] for r in column.cells[name].results]
+        mean = 100 * np.mean(curves, axis=0)
+        axes.plot(range(1, len(mean) + 1), mean, marker="o", markersize=3, linewidth=1,
+                  label=_label(column, name))  # fmt: skip
+    axes.set_xlabel("k")
+    axes.set_ylabel("true pose bin among the k best (%)")
+    _legend(axes)
+    return figure
+
+
+def _confusion(column: Column, folder: Path) -> Figure:
+    seeds = column.cells[ranked(column)[0]].results
+    names = seeds[0].train_data.class_names
+    counts = np.zeros((len(names), len(names)))
+    for result in seeds:
+        stored, label = shared_clouds(
+            results.read_predictions(folder, result), names, result.test_data.class_names
+        )
+        counts += confusion(label, stored.predicted, len(names))
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    size = 1.5 + 0.16 * len(names)
+    figure, axes = _new(size, size)
+    axes.imshow(100 * shares, cmap="Blues", vmin=0, vmax=100)
+    for set_ticks in (axes.set_xticks, axes.set_yticks):
+        set_ticks(range(len(names)), names, fontsize=6)
+    axes.tick_params(axis="x", rotation=90)
+    axes.set_xlabel("named")
+    axes.set_ylabel("true")
+    return figure
+
+
+def _label(column: Column, name: str) -> str:
+    return row_title(column.cells[name].results[0])
+
+
+def _legend(axes: Axes) -> None:
+    axes.legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(1, 1))

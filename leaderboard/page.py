@@ -1,0 +1,111 @@
+"""The board as one HTML file that asks no other host for anything."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import jinja2
+
+from leaderboard.board import Board, Column, ranked
+from leaderboard.comparison import Comparison
+from leaderboard.gallery import Sample
+from leaderboard.tables import crosses, describe, engineering, row_title
+
+TEMPLATE = Path(__file__).with_name("page.html.jinja")
+
+
+def as_html(
+    board: Board,
+    comparisons: list[Comparison],
+    figures: dict[str, tuple[str, bytes]],
+    galleries: list[list[Sample]],
+) -> str:
+    """The page.
+
+    Args:
+        figures: file stem → (caption, SVG).
+        galleries: for each column, the clouds its models disagree on.
+    """
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["percent"] = lambda share: "–" if share is None else f"{100 * share:.1f}"
+    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
+    columns = [
+        _column(column, comparison)
+        for column, comparison in zip(board.columns, comparisons, strict=True)
+    ]
+    samples = [
+        dataclasses.asdict(sample) | {"column": number}
+        for number, gallery in enumerate(galleries)
+        for sample in gallery
+    ]
+    return template.render(
+        columns=columns,
+        figures=[(caption, base64.b64encode(svg).decode()) for caption, svg in figures.values()],
+        samples=samples,
+        # "</script" would end the element, whatever the quotes around it.
+        samples_json=json.dumps(samples, separators=(",", ":")).replace("<", "\\u003c"),
+    )
+
+
+def _column(column: Column, comparison: Comparison) -> dict[str, Any]:
+    rows = [_row(column, comparison, name) for name in ranked(column)]
+    return {"title": column.title, "about": describe(column), "reported": column.reported, "crossed": crosses(column),
+            "rows": rows, "posed": any(row["pose"] for row in rows)}  # fmt: skip
+
+
+def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
+    cell = column.cells[name]
+    first = cell.results[0]
+    low, high = comparison.intervals[name]
+    pose = first.scores["pose"]
+    return {
+        "title": row_title(first),
+        "card": first.card,
+        "deviations": first.deviations,
+        "accuracy": cell.mean(),
+        "std": cell.std(),
+        "interval": None if math.isnan(low) else (low, high),
+        "groups": " ".join(map(str, comparison.groups[name])),
+        "class_accuracy": cell.mean("class_accuracy"),
+        "restricted_accuracy": cell.mean("restricted_accuracy"),
+        "calibration_error": cell.mean("calibration_error"),
+        "pose": pose,
+        "drift": first.rotation_audit["drift"],
+        "parameters": first.cost["parameters"],
+        "parameters_text": f"{first.cost['parameters']:,}",
+        "multiply_adds": first.cost["multiply_adds"],
+        "multiply_adds_text": engineering(first.cost["multiply_adds"]),
+        "batch_ms": first.cost["batch_ms"],
+        "seeds": [r.seed for r in cell.results],
+        "paper": first.card["paper_scores"].get(column.reported),
+        "per_class": [
+            (label, share) for label, share in first.scores["per_class"].items()
+            if share is not None
+        ],
+        "training": first.training,
+        "curves": [
+            (label, _polyline(first.training["curve"][key]), first.training["curve"][key])
+            for key, label in (("train_loss", "training loss"),
+                               ("validation_accuracy", "validation accuracy"))
+            if len(first.training["curve"][key]) > 1 and None not in first.training["curve"][key]
+        ],
+        "environment": first.environment,
+        "protocol": first.protocol,
+    }  # fmt: skip
+
+
+def _polyline(values: list[float]) -> str:
+    """Values as the points of an SVG line in a box of 100 × 30, from lowest to highest."""
+    low, high = min(values), max(values)
+    span = high - low or 1.0
+    return " ".join(
+        f"{100 * i / (len(values) - 1):.1f},{29 - 28 * (value - low) / span:.1f}"
+        for i, value in enumerate(values)
+    )
