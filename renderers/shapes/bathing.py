@@ -34,8 +34,8 @@ def _tap(p: Draw, x: float, y: float, z: float) -> Iterable[Solid]:
 
 @family(
     "bathtub",
-    variants={"apron": 4, "freestanding": 3, "oval_in_box": 3, "corner": 1},
-    width=(0.42, 0.72), height=(0.18, 0.4), rim=(0.02, 0.08), depth=(0.62, 0.92),
+    variants={"apron": 4, "freestanding": 4, "oval_in_box": 3, "corner": 2},
+    width=(0.42, 0.8), height=(0.15, 0.42), rim=(0.02, 0.08), depth=(0.62, 0.92),
     floor=(0.55, 0.9), slope=(0.0, 0.16), outer_taper=(0.6, 0.9), corner_power=(2.4, 7.0),
     lip=(0.01, 0.06), tap=(0.06, 0.2), foot=(0.03, 0.09),
 )  # fmt: skip

@@ -156,7 +156,7 @@ def _drawer(
 
 @family(
     "dresser",
-    variants={"chest": 4, "wide": 3, "legged": 3, "with_mirror": 1},
+    variants={"chest": 4, "wide": 3, "legged": 3, "with_mirror": 1, "small": 3},
     width=(0.62, 1.0), height=(0.78, 1.5), depth=(0.36, 0.6), panel=(0.012, 0.04),
     top=(0.012, 0.04), top_overhang=(0.0, 0.04), plinth=(0.02, 0.08), legs=(0.06, 0.2),
     leg_size=(0.025, 0.06), gap=(0.008, 0.025), proud=(0.004, 0.025), handle=(0.12, 0.5),
@@ -166,7 +166,10 @@ def dresser(p: Draw) -> Iterable[Solid]:
     w, h, d = p.width, p.height, p.depth
     if p.variant in ("wide", "with_mirror"):
         w, h = w + 0.35, 0.62 + 0.3 * (h - 0.78)
-    base = p.legs if p.variant == "legged" else p.plinth
+    elif p.variant == "small":  # near a night stand's measures
+        w, h = 0.75 * w, 0.68 * h
+    legged = p.variant == "legged" or (p.variant == "small" and p.chance(0.5))
+    base = p.legs if legged else p.plinth
     x, hollow = -d / 2, p.chance(0.5)
 
     # carcass: solid, or panels round an empty inside
@@ -177,7 +180,7 @@ def dresser(p: Draw) -> Iterable[Solid]:
     else:
         yield box(d, w, (base, h))
     yield box(d + 2 * p.top_overhang, w + 2 * p.top_overhang, (h, h + p.top))
-    if p.variant == "legged":
+    if legged:
         leg = box(p.leg_size, p.leg_size, (0, base))
         yield four(leg.at(d / 2 - p.leg_size / 2, w / 2 - p.leg_size / 2))
         if p.chance(0.4):
@@ -187,7 +190,7 @@ def dresser(p: Draw) -> Iterable[Solid]:
         yield box(d - inset, w - inset, (0, base))
 
     # drawers
-    rows = p.integer(3, 4) if p.variant in ("wide", "with_mirror") else p.integer(3, 6)
+    rows = p.integer(2, 4) if p.variant in ("wide", "with_mirror", "small") else p.integer(3, 6)
     edge = np.linspace(base + p.panel, h - 0.01, rows + 1)
     if p.chance(0.4):  # deeper drawers lower down
         edge = base + p.panel + (h - 0.01 - base - p.panel) * np.linspace(0, 1, rows + 1) ** 0.85

@@ -24,7 +24,7 @@ def hollow(outside: NDArray[np.float64], wall: float, floor: float) -> NDArray[n
     variants={"round": 5, "flared": 3, "footed": 4, "basin": 4, "closing": 3, "square": 1},
     height=(0.34, 1.15), foot=(0.25, 0.6), foot_height=(0.03, 0.12), belly=(0.35, 0.75),
     wall=(0.015, 0.06), floor=(0.02, 0.08), rim=(0.0, 0.1), rim_height=(0.01, 0.06),
-    closing=(0.7, 0.95), oval=(0.86, 1.0), power=(1.6, 3.2), stem=(0.15, 0.45),
+    closing=(0.7, 0.95), oval=(0.6, 0.95), power=(1.6, 3.2), stem=(0.15, 0.45),
 )  # fmt: skip
 def bowl(p: Draw) -> Iterable[Solid]:
     h = p.height
@@ -52,7 +52,7 @@ def bowl(p: Draw) -> Iterable[Solid]:
     facets = 40 if p.variant != "square" else 4
     thin = p.chance(0.35)
     profile = np.concatenate([[(0, 0)], outside]) if thin else hollow(outside, p.wall, p.floor)
-    yield revolve(profile, facets).turned("z", 45).scaled(1.0, p.oval)
+    yield revolve(profile, facets).turned("z", 45).scaled(1.0, p.oval if p.chance(0.15) else 1.0)
     if p.variant == "footed":
         low = -p.foot_height * (1 if p.chance(0.7) else 4)
         ring = [(p.foot * 0.9 + p.stem * 0.2, low), (p.stem + 0.1, low * 0.4), (p.foot * 0.7, 0.03)]
@@ -62,7 +62,7 @@ def bowl(p: Draw) -> Iterable[Solid]:
 @family(
     "cup",
     variants={"mug": 7, "tumbler": 7, "teacup": 2, "goblet": 3},
-    height=(0.75, 1.35), taper=(0.5, 1.05), belly=(-0.05, 0.1), wall=(0.02, 0.07),
+    height=(0.65, 1.6), taper=(0.5, 1.1), belly=(-0.05, 0.1), wall=(0.02, 0.07),
     floor=(0.02, 0.1), handle=(0.2, 0.36), handle_span=(0.4, 0.7), handle_thickness=(0.03, 0.06),
     handle_at=(0.45, 0.58), heel=(0.01, 0.08), foot=(0.5, 0.85), stem=(0.05, 0.1),
     stem_height=(0.25, 0.5), saucer=(0.75, 1.0),

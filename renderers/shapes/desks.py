@@ -106,7 +106,10 @@ def desk(p: Draw) -> Iterable[Solid]:
         yield from (_leg(p, x, side * far, under) for x in (p.leg / 2 - inner_x,
                                                             inner_x - p.leg / 2))  # fmt: skip
         apron = box(2 * inner_x - 0.02, inner_w - 0.02, (drawer_low, under))
-        if p.chance(0.6):
+        bare = p.chance(0.35)  # nothing but its place tells it from a table
+        if bare:
+            yield box(2 * inner_x - 0.02, inner_w - 0.02, (under - 0.05, under))
+        elif p.chance(0.6):
             yield apron
             for y in (-1, 0, 1):
                 yield box((-inner_x - 0.015, -inner_x), inner_w * 0.3,
@@ -120,7 +123,7 @@ def desk(p: Draw) -> Iterable[Solid]:
         yield both(box(2 * inner_x, p.panel, (0, under)).at(0, (inner_w - p.panel) / 2), "y")
         if p.chance(0.5):
             yield unit(side, 0.0)
-    if style != "double_pedestal" or p.chance(0.6):
+    if p.chance(0.4 if style == "writing" else 0.75):
         yield box((inner_x - p.panel, inner_x), inner_w, (under * (1 - p.modesty), under))
 
     if p.variant == "corner":  # the return, towards the user along one side

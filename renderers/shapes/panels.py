@@ -38,7 +38,7 @@ def _drape(p: Draw, edge: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]])
 @family(
     "curtain",
     variants={"full": 9, "pair": 1, "tied": 3, "pair_tied": 1, "drawn": 3, "blind": 1},
-    width=(0.25, 1.6), pleat=(0.004, 0.05), pleats=(5.0, 16.0), crease=(0.5, 1.2),
+    width=(0.15, 1.8), pleat=(0.004, 0.05), pleats=(5.0, 16.0), crease=(0.5, 1.2),
     phase=(0.0, 6.28), flare=(0.0, 1.0), drift=(0.0, 0.6), tie_height=(0.3, 0.6),
     tie_width=(0.15, 0.4), opening=(0.05, 0.4), rod=(0.008, 0.02), valance=(0.08, 0.2),
 )  # fmt: skip

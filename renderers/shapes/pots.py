@@ -40,9 +40,9 @@ def _foliage(p: Draw, spread: float) -> Iterable[Solid]:
 
 @family(
     "flower_pot",
-    variants={"pot": 3, "planted": 8, "bowl": 1, "square": 1, "urn": 2, "slender": 2},
+    variants={"pot": 3, "planted": 9, "bowl": 1, "square": 1, "urn": 2, "slender": 3},
     height=(0.75, 1.35), taper=(0.55, 0.9), rim=(0.02, 0.1), rim_height=(0.08, 0.22),
-    wall=(0.03, 0.08), soil=(0.6, 0.92), belly=(-0.03, 0.12), plant=(0.7, 1.7), leaf=(0.1, 0.26),
+    wall=(0.03, 0.08), soil=(0.6, 0.92), belly=(-0.03, 0.12), plant=(0.6, 2.2), leaf=(0.08, 0.3),
     droop=(20.0, 120.0), foot=(0.3, 0.6), saucer=(0.7, 1.0), leg=(0.08, 0.2),
 )  # fmt: skip
 def flower_pot(p: Draw) -> Iterable[Solid]:
