@@ -8,12 +8,14 @@ import h5py
 import numpy as np
 import pytest
 from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
 
 from partialbench.errors import InputError
 from partialbench.geometry.camera import sample_pose
 from partialbench.geometry.rotations import haar_rotations
 from renderers import hpr
-from renderers.hpr import HprOccluder, hidden_point_removal, paper_radius, visible_sets
+from renderers.hpr import HprOccluder, flip, hidden_point_removal, paper_radius, visible_sets
+from renderers.hull_cull import possible_vertices
 from renderers.whole import WholeOccluder, sample_surface
 
 
@@ -96,6 +98,39 @@ def test_indices_equal_open3ds_on_a_real_scene(shared: Path) -> None:
     pcd = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     _, theirs = pcd.hidden_point_removal(viewpoint[:, None], radius)
     np.testing.assert_array_equal(hidden_point_removal(points, viewpoint, radius), np.sort(theirs))
+
+
+@pytest.mark.parametrize("gamma", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize("viewpoint", [(0.3, 0.5, -4.0), (0.01, 0.02, 0.03)])
+@pytest.mark.parametrize("kind", ["sphere", "ball", "boxes", "grid"])
+def test_culling_drops_no_hull_vertex(rng, kind: str, viewpoint, gamma: float) -> None:
+    count = 6000
+    points = {
+        "sphere": lambda: sphere(rng, count),
+        "ball": lambda: sphere(rng, count) * np.cbrt(rng.random((count, 1))),
+        # Axis-parallel sheets, as of furniture: many points in planes and on lines.
+        "boxes": lambda: np.where(
+            np.arange(3) == rng.integers(0, 3, (count, 1)),
+            rng.choice([-1.0, -0.4, 0.4, 1.0], (count, 1)),
+            rng.uniform(-1, 1, (count, 3)),
+        ),
+        "grid": lambda: np.round(rng.uniform(-1, 1, (count, 3)), 1),
+    }[kind]()
+    points = np.unique(points[np.linalg.norm(points - viewpoint, axis=1) > 1e-3], axis=0)
+    flipped = flip(points - viewpoint, paper_radius(points, viewpoint, gamma))
+    kept = possible_vertices(flipped)
+    hull = ConvexHull(np.vstack([flipped, np.zeros(3)])).vertices
+    assert set(hull[hull < len(points)]) <= set(kept)
+    if gamma < 4 and kind in ("sphere", "ball") and viewpoint[2] == -4.0:
+        assert len(kept) < 0.75 * len(points)  # it does cull
+
+
+def test_a_culled_cloud_has_the_same_visible_points(rng, monkeypatch) -> None:
+    points = np.vstack([sphere(rng, 5000) * r for r in (1.0, 0.8, 0.5)])
+    viewpoint = np.array([0.3, 0.5, -4.0])
+    whole = hidden_point_removal(points, viewpoint, 400.0)
+    monkeypatch.setattr(hpr, "CULL_FROM", 100)
+    np.testing.assert_array_equal(hidden_point_removal(points, viewpoint, 400.0), whole)
 
 
 def test_visible_sets_is_one_removal_per_viewpoint(rng: np.random.Generator) -> None:
