@@ -102,8 +102,21 @@ def render(
         typer.Option(help="built-in shapes: objects per class, TRAIN,TEST or 'modelnet40'"),
     ] = None,
     points: Annotated[int, typer.Option(help="points stored per cloud")] = 2048,
-    resolution: Annotated[int, typer.Option(help="depth image side in pixels")] = 256,
-    sensor: Annotated[str, typer.Option(help="ideal, kinect-v1 or tof, with :STRENGTH")] = "ideal",
+    resolution: Annotated[int | None, typer.Option(help="depth image side in pixels [256]")] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            help="FX,FY,CX,CY,WIDTH,HEIGHT in pixels: one fixed camera that may cut "
+            "objects, instead of a crop fitted to each"
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(
+            help="depth noise: ideal, kinect-v1 or tof, with :STRENGTH [ideal; rooms are "
+            "scanned with kinect-v1]"
+        ),
+    ] = None,
     keep_depth: Annotated[bool, typer.Option(help="store the depth images too")] = False,
     radius: Annotated[
         float | None, typer.Option(help="hidden point removal: radius of the spherical flip")
@@ -124,8 +137,8 @@ def render(
         str | None, typer.Option(help="run on the Dask cluster at this address (tcp://…)")
     ] = None,
     variant: Annotated[
-        str, typer.Option(help="Mitsuba variant, or auto: the fastest that works here")
-    ] = "auto",
+        str | None, typer.Option(help="Mitsuba variant [auto: the fastest that works here]")
+    ] = None,
     rows_per_shard: Annotated[int, typer.Option(help="rows per file")] = 1000,
     allow_failures: Annotated[
         bool, typer.Option(help="exit 0 even if some inputs were broken")
@@ -135,14 +148,21 @@ def render(
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
     from partialbench.dataset.render import plan_render
 
+    workers = workers or os.cpu_count() or 1
     plan = plan_render(
         data_set.value,
         out,
         source=source,
-        source_options=_given(aligned=aligned or None, up=up, counts=counts and _counts(counts),
-                              scannet=scannet, scan2cad=scan2cad, rooms=rooms),
-        occluder_options=_given(resolution=resolution, sensor=sensor, variant=variant,
-                                keep_depth=keep_depth or None, radius=radius),
+        source_options=_given(
+            aligned=aligned or None, up=up, counts=counts and _counts(counts), scannet=scannet,
+            scan2cad=scan2cad, rooms=rooms,
+        ),
+        occluder_options=_given(
+            resolution=resolution, camera=camera and _camera(camera), variant=variant,
+            keep_depth=keep_depth or None, radius=radius,
+        ),
+        sensor=sensor,
+        workers=workers,
         setting=setting.value,
         views=views,
         splits=tuple(split) if split else None,
@@ -175,7 +195,6 @@ def _build(plan: Any, workers: int, scheduler: str | None) -> Any:
     from partialbench.dataset.executors import dask_cluster, process_pool
     from partialbench.progress import build_bar
 
-    workers = workers or os.cpu_count() or 1
     if scheduler:
         cluster = dask_cluster(scheduler)
         workers = cluster.workers
@@ -414,6 +433,15 @@ def _numbers(text: str, count: int, option: str) -> list[float]:
     if len(values) != count:
         raise typer.BadParameter(f"{option} takes {count} numbers with commas, got {text!r}")
     return values
+
+
+def _camera(text: str) -> Any:
+    import numpy as np
+
+    from partialbench.geometry.camera import Camera
+
+    fx, fy, cx, cy, width, height = _numbers(text, 6, "--camera")
+    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), int(width), int(height))
 
 
 def _counts(text: str) -> tuple[int, int] | str:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera, fit_ball
+from renderers.sensors import make_sensor
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
 
@@ -47,7 +48,9 @@ class MitsubaOccluder:
             a copy sent to another process afterwards uses the same variant, or fails there.
         keep_depth: whether a view keeps its depth image.
         visibility_samples: surface points behind ``visible_fraction``.
-        sensor: a camera to use for every view instead of the fitted one; it may cut the object.
+        camera: one to use for every view instead of the fitted one; it may cut the object.
+        sensor: "ideal", or what distorts the depth before it is back-projected: a name of
+            ``renderers.sensors`` with an optional strength ("kinect-v1", "tof:0.5").
         threads: of this process. One each is fastest when objects are spread over processes; the
             result does not depend on it.
     """
@@ -56,7 +59,8 @@ class MitsubaOccluder:
     variant: str = "auto"
     keep_depth: bool = False
     visibility_samples: int = 2048
-    sensor: Camera | None = None
+    camera: Camera | None = None
+    sensor: str = "ideal"
     threads: int = 1
 
     def __post_init__(self) -> None:
@@ -64,8 +68,9 @@ class MitsubaOccluder:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
-        if self.sensor is not None and not isinstance(self.sensor, Camera):
-            raise InputError(f"sensor must be a geometry.camera.Camera, got {self.sensor!r}")
+        if self.camera is not None and not isinstance(self.camera, Camera):
+            raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
+        make_sensor(self.sensor)  # raises for an unknown name or strength
 
     def settle(self) -> str:
         """The Mitsuba variant in use; ``InputError`` when the one asked for does not work here."""
@@ -74,14 +79,15 @@ class MitsubaOccluder:
 
     def describe(self) -> dict[str, Any]:
         """What defines the views, as JSON data."""
-        sensor = None if self.sensor is None else {
-            "K": self.sensor.K.tolist(), "width": self.sensor.width, "height": self.sensor.height,
+        camera = None if self.camera is None else {
+            "K": self.camera.K.tolist(), "width": self.camera.width, "height": self.camera.height,
         }  # fmt: skip
         return {
             "name": "mitsuba",
             "variant": self.settle(),
-            "resolution": int(self.resolution) if self.sensor is None else None,
-            "sensor": sensor,
+            "resolution": int(self.resolution) if self.camera is None else None,
+            "camera": camera,
+            "sensor": make_sensor(self.sensor).describe(),
             "visibility_samples": int(self.visibility_samples),
             "keep_depth": bool(self.keep_depth),
         }
@@ -92,20 +98,20 @@ class MitsubaOccluder:
         """Render a mesh from every pose.
 
         Args:
-            shape: in the object frame, inside the unit ball around the origin unless a ``sensor``
+            shape: in the object frame, inside the unit ball around the origin unless a ``camera``
                 is set. Vertices are used as float32.
             poses: (R_camera_object (3,3), t_camera_object (3,)) each.
-            rngs: unused: a view depends on the mesh and the pose alone.
+            rngs: one per view, for the sensor's noise; an ideal one draws nothing.
 
         Returns:
             One ``View`` per pose, its points in row-major pixel order; a ``RejectedView`` where no
-            pixel centre meets the surface (a flat shape seen edge-on, or outside a fixed sensor).
+            pixel centre meets the surface (a flat shape seen edge-on, or outside a fixed camera).
 
         Raises:
             InputError: when the mesh has no area, or leaves the unit ball.
         """
         vertices, faces = _arrays(shape)
-        if self.sensor is None:
+        if self.camera is None:
             _require_unit_ball(vertices)
         try:
             samples = surface_samples(vertices, faces, self.visibility_samples)
@@ -115,13 +121,19 @@ class MitsubaOccluder:
             return []
         R = np.stack([np.asarray(r, np.float64) for r, _ in poses])
         t = np.stack([np.asarray(x, np.float64) for _, x in poses])
-        cameras = [self.sensor or fit_ball(centre, self.resolution) for centre in t]
+        cameras = [self.camera or fit_ball(centre, self.resolution) for centre in t]
 
         variant = self.settle()
         activate(variant, self.threads)
         tracer = (_ScalarTracer if variant.startswith("scalar") else _Tracer)(vertices, faces)
         fractions = self._visible_fractions(tracer, samples, R, t, cameras)
         depths = tracer.depth(R, t, cameras)
+        if self.sensor != "ideal":
+            sensor = make_sensor(self.sensor)
+            depths = (
+                sensor.apply(depth, camera.K, rng)
+                for depth, camera, rng in zip(depths, cameras, rngs, strict=True)
+            )
         return [
             self._view(depth, *view)
             for depth, *view in zip(depths, R, t, cameras, fractions, strict=True)
@@ -155,7 +167,7 @@ class MitsubaOccluder:
         eyes = -np.einsum("vji,vj->vi", R, t)
         lines = [sight_lines(samples, eye) for eye in eyes]
         seen = tracer.clear(eyes, np.stack([d for d, _ in lines]), np.stack([e for _, e in lines]))
-        if self.sensor is not None:
+        if self.camera is not None:
             for k, camera in enumerate(cameras):
                 seen[k] &= inside_image(
                     samples @ R[k].T + t[k], camera.K, camera.width, camera.height
@@ -208,7 +220,7 @@ def _require_unit_ball(vertices: NDArray[np.float32]) -> None:
     if radius > 1 + 1e-5:
         raise InputError(
             f"the mesh reaches {radius:g} from the origin; the fitted camera needs it inside the "
-            f"unit ball: pass it through renderers.sources.mesh.normalise, or set a sensor"
+            f"unit ball: pass it through renderers.sources.mesh.normalise, or set a camera"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ def plan_render(
     objects_per_class: int | None = None,
     points: int = 2048,
     seed: int = 0,
+    sensor: str | None = None,
+    workers: int = 1,
     rows_per_shard: int = 1000,
 ) -> BuildPlan:
     """The plan of one data folder.
@@ -38,7 +41,9 @@ def plan_render(
         data_set: "pm40" or "ps15".
         source: a registered name or a path; default: the data set's built-in source.
         source_options: passed to the source (``aligned``, ``up``, ``counts``, …).
-        occluder_options: passed to the occluder (``resolution``, ``sensor``, ``variant``, …).
+        occluder_options: passed to the occluder (``resolution``, ``variant``, ``radius``, …).
+        sensor: depth noise, of the rendered images or, for simulated rooms, of the scanner.
+        workers: processes for sources that generate or list in parallel.
         views: viewpoints per training object; test objects get one (PS15: the same number).
         splits: default: all the source has.
         objects_per_class: at most so many of each class in each split.
@@ -51,8 +56,17 @@ def plan_render(
         raise InputError(
             f"no data set {data_set!r}{registry.close_matches(data_set, DEFAULT_SOURCE)}"
         )
-    open_source = registry.load(registry.OPEN_SOURCE)
-    shapes: Source = open_source(source or DEFAULT_SOURCE[data_set], **(source_options or {}))
+    given = dict(source_options or {})
+    if source is None:
+        source = "scannet" if "scannet" in given else DEFAULT_SOURCE[data_set]
+    # One seed is behind everything that is generated; a scanned room was seen by its own sensor.
+    if source == "parametric":
+        given["seed"] = seed
+    elif source == "rooms":
+        given |= {"seed": seed, "workers": workers, **({"sensor": sensor} if sensor else {})}
+    elif source == "scannet":
+        given["workers"] = workers
+    shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **given)
     name = shapes.describe()["name"]
     dataset_id, occluder_name = registry.DATASET_IDS[name]
     if not dataset_id.startswith(data_set):
@@ -60,19 +74,16 @@ def plan_render(
             f"source {source!r} ({name}) makes {dataset_id}, not {data_set}: run "
             f"'partialbench render {dataset_id[:4]}'"
         )
-    options = dict(occluder_options or {})
-    options.pop("sensor", None)
     if setting != "partial":
-        occluder_name, options = "whole", {}
-    elif occluder_name != "mitsuba":
-        options = {k: v for k, v in options.items() if k in ("radius",)}
+        occluder_name = "whole"
     per_split = dict(PAPER_VIEWS[data_set])
     if views is not None:
         per_split = {"train": views, "test": views if data_set == "ps15" else 1}
     chosen = splits or shapes.splits()
     if unknown := [s for s in chosen if s not in shapes.splits()]:
         raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
-    occluder: Occluder = registry.load(registry.occluder_entry(occluder_name))(**options)
+    seen_with = {"sensor": sensor} if sensor and source != "rooms" else {}
+    occluder = _make_occluder(occluder_name, {**(occluder_options or {}), **seen_with})
     return BuildPlan(
         Job(shapes, occluder, dataset_id, setting, per_split, points, seed),
         Path(out),
@@ -80,6 +91,17 @@ def plan_render(
         None if objects_per_class is None else dict.fromkeys(chosen, objects_per_class),
         rows_per_shard,
     )
+
+
+def _make_occluder(name: str, options: dict[str, Any]) -> Occluder:
+    factory = registry.load(registry.occluder_entry(name))
+    known = inspect.signature(factory).parameters
+    if foreign := [option for option in options if option not in known]:
+        raise InputError(
+            f"{foreign[0]}={options[foreign[0]]!r} does not apply: these clouds are made by the "
+            f"occluder {name!r}, which takes {', '.join(known)}"
+        )
+    return factory(**options)
 
 
 def source_of(folder: Path, name_or_path: str | None = None) -> Source | None:

@@ -47,7 +47,7 @@ def test_an_object_that_kills_cluster_workers_is_recorded(tmp_path, address):
 
 
 def test_no_scheduler_is_a_clear_error():
-    with pytest.raises(InputError, match="no Dask scheduler answers at 'tcp://127.0.0.1:1'"):
+    with pytest.raises(InputError, match="no Dask scheduler answers at"):
         dask_cluster("tcp://127.0.0.1:1", timeout_s=1)
 
 

@@ -18,7 +18,7 @@ from partialbench.errors import InputError
 
 @dataclass
 class ToySource:
-    """``count`` boxes and bottles a split; ``broken`` ids fail to load, ``deadly`` kill a worker."""
+    """``count`` boxes and bottles a split; ``broken`` ids do not load, ``deadly`` kill a worker."""
 
     count: int = 6
     broken: tuple[str, ...] = ()

@@ -235,14 +235,14 @@ def test_back_projection_is_the_inverse_of_projection() -> None:
     np.testing.assert_array_equal(z, [4, 2, 3])
 
 
-def test_a_fixed_sensor_may_cut_the_object() -> None:
+def test_a_fixed_camera_may_cut_the_object() -> None:
     mesh = shape("torus")
     # Half of a centred object lies left of the image, which is wider than high.
-    sensor = Camera(np.array([[60.0, 0, 0], [0, 60, 22], [0, 0, 1]]), 50, 44)
+    camera = Camera(np.array([[60.0, 0, 0], [0, 60, 22], [0, 0, 1]]), 50, 44)
     pose = (np.eye(3), np.array([0.0, 0, 4]))
-    occluder = MitsubaOccluder(sensor=sensor, keep_depth=True, visibility_samples=4096)
+    occluder = MitsubaOccluder(camera=camera, keep_depth=True, visibility_samples=4096)
     (view,) = seen(occluder.views(mesh, [pose], []))
-    np.testing.assert_array_equal(view.K, sensor.K)
+    np.testing.assert_array_equal(view.K, camera.K)
     check_depth(view.depth, oracle(mesh, view, 50, 44))
     (whole,) = seen(MitsubaOccluder(visibility_samples=4096).views(mesh, [pose], []))
     assert view.visible_fraction == pytest.approx(whole.visible_fraction / 2, abs=0.01)
@@ -298,15 +298,16 @@ def test_describe_is_data_and_names_the_variant_in_use() -> None:
         "name": "mitsuba",
         "variant": pick_variant("auto"),
         "resolution": 32,
-        "sensor": None,
+        "camera": None,
+        "sensor": {"name": "ideal"},
         "visibility_samples": 2048,
         "keep_depth": False,
     }
     assert pickle.loads(pickle.dumps(occluder)).describe() == described
     # What does not change the result does not enter the configuration.
     assert MitsubaOccluder(resolution=32, threads=2).describe() == described
-    sensor = Camera(np.array([[60.0, 0, 25], [0, 60, 22], [0, 0, 1]]), 50, 44)
-    assert MitsubaOccluder(sensor=sensor).describe()["sensor"] == {
+    camera = Camera(np.array([[60.0, 0, 25], [0, 60, 22], [0, 0, 1]]), 50, 44)
+    assert MitsubaOccluder(camera=camera).describe()["camera"] == {
         "K": [[60, 0, 25], [0, 60, 22], [0, 0, 1]],
         "width": 50,
         "height": 44,
@@ -319,7 +320,8 @@ def test_describe_is_data_and_names_the_variant_in_use() -> None:
         ({"resolution": 0}, "resolution must be a whole number of at least 1, got 0"),
         ({"threads": 1.5}, "threads must be a whole number of at least 1, got 1.5"),
         ({"visibility_samples": True}, "visibility_samples must be .* got True"),
-        ({"sensor": np.eye(3)}, "sensor must be a geometry.camera.Camera"),
+        ({"camera": np.eye(3)}, "camera must be a geometry.camera.Camera"),
+        ({"sensor": "kinect"}, "no sensor named 'kinect'; did you mean kinect-v1"),
     ],
 )
 def test_wrong_options(options: dict, message: str) -> None:

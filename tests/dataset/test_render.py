@@ -1,0 +1,84 @@
+"""From options to a plan, and the eight real files through the whole pipeline."""
+
+import numpy as np
+import pytest
+
+from partialbench.dataset.build import build
+from partialbench.dataset.executors import InlineExecutor
+from partialbench.dataset.render import plan_render, source_of
+from partialbench.dataset.verify import verify
+from partialbench.errors import InputError
+from partialbench.geometry.camera import Camera
+
+SMALL = {"views": 2, "points": 128, "source_options": {"counts": (1, 1)}}
+
+
+def test_the_papers_numbers_are_the_defaults(tmp_path):
+    plan = plan_render("pm40", tmp_path)
+    assert plan.job.views == {"train": 10, "test": 1}
+    assert plan.job.points == 2048
+    assert plan.job.dataset_id == "pm40-parametric"
+    assert plan.job.occluder.describe()["resolution"] == 256
+
+
+@pytest.mark.parametrize(
+    ("data_set", "options", "message"),
+    [
+        ("pm40", {"source": "rooms", "source_options": {"rooms": 1}}, "makes ps15-rooms, not pm40"),
+        ("pm41", {}, "no data set 'pm41'; did you mean pm40"),
+        ("pm40", {"setting": "upside"}, "setting 'upside' is not one of partial, rotated, aligned"),
+        ("pm40", {"splits": ("val",)}, "no split 'val'"),
+        ("pm40", {"occluder_options": {"radius": 3.0}}, "radius=3.0 does not apply"),
+        ("pm40", {"sensor": "kinekt"}, "did you mean kinect-v1"),
+        ("pm40", {"points": 0}, "points must be at least 1, got 0"),
+    ],
+)
+def test_what_cannot_be_is_refused(tmp_path, data_set, options, message, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    if options.get("source") == "rooms":
+        pytest.importorskip("open3d", exc_type=ImportError)
+    with pytest.raises(InputError, match=message):
+        plan_render(data_set, tmp_path / "out", **options)
+
+
+@pytest.mark.parametrize("setting", ["partial", "rotated", "aligned"])
+def test_every_setting_renders_and_verifies(tmp_path, setting):
+    plan = plan_render("pm40", tmp_path, setting=setting, splits=("test",), **SMALL)
+    manifest = build(plan, InlineExecutor)
+    assert manifest.configuration["setting"] == setting
+    report = verify(tmp_path, source_of(tmp_path))
+    assert report.problems == []
+    assert report.rows == {"test": 40}
+    assert report.surface["max"] < 1e-4
+
+
+def test_noise_moves_points_off_the_surface_and_is_said(tmp_path):
+    plan = plan_render("pm40", tmp_path, sensor="kinect-v1", splits=("test",),
+                       occluder_options={"resolution": 96}, **SMALL)  # fmt: skip
+    build(plan, InlineExecutor)
+    report = verify(tmp_path, source_of(tmp_path))
+    assert report.sound
+    assert report.surface["mean"] > 1e-4
+    assert "the sensor is noisy" in report.notes[0]
+
+
+def test_a_fixed_camera_may_cut_objects(tmp_path):
+    camera = Camera(np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), 160, 120)
+    plan = plan_render("pm40", tmp_path, occluder_options={"camera": camera}, splits=("test",),
+                       **SMALL)  # fmt: skip
+    manifest = build(plan, InlineExecutor)
+    reasons = {f["reason"] for f in manifest.failures}
+    assert reasons <= {"no surface at any pixel centre"}
+    assert verify(tmp_path, source_of(tmp_path)).sound
+
+
+@pytest.mark.data
+def test_the_eight_real_files_render_and_verify(shared, tmp_path):
+    tree = shared / "data" / "ModelNet40"
+    plan = plan_render("pm40", tmp_path, source=str(tree), views=3, points=512)
+    manifest = build(plan, InlineExecutor)
+    assert manifest.failures == []
+    assert (manifest.rows("train"), manifest.rows("test")) == (21, 1)
+    report = verify(tmp_path, source_of(tmp_path, str(tree)))
+    assert report.problems == []
+    assert report.surface["max"] < 1e-4
