@@ -22,6 +22,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -106,8 +107,9 @@ def speed(sizes: list[int], turns: int) -> None:
 
 def truly_visible(mesh: trimesh.Trimesh, points: NDArray, viewpoint: NDArray) -> NDArray[np.bool_]:
     """Whether the segment from the viewpoint meets the surface at the sample first."""
-    import open3d as o3d
+    import open3d
 
+    o3d: Any = open3d  # its stubs do not admit arrays
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         o3d.core.Tensor(np.asarray(mesh.vertices, np.float32)),
