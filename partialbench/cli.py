@@ -213,13 +213,16 @@ def verify(
     source: Annotated[
         str | None, typer.Option(help="what it was made from, to check points against surfaces")
     ] = None,
+    scannet: Annotated[Path | None, typer.Option(help="ps15: the same, its scans")] = None,
+    scan2cad: Annotated[Path | None, typer.Option(help="ps15: and their annotations")] = None,
     as_json: Json = False,
 ) -> None:
     """Check digests, schema, values, poses, and that points lie on the source's surface."""
     from partialbench.dataset.render import source_of
     from partialbench.dataset.verify import verify as check
 
-    report = check(folder, source_of(folder, source))
+    options = _given(scannet=scannet, scan2cad=scan2cad)
+    report = check(folder, source_of(folder, "scannet" if options else source, options))
     facts = [f"{n:,} {split} rows" for split, n in report.rows.items()]
     if report.surface:
         facts.append(f"points within {report.surface['max']:.1e} of the surface")

@@ -104,12 +104,15 @@ def _make_occluder(name: str, options: dict[str, Any]) -> Occluder:
     return factory(**options)
 
 
-def source_of(folder: Path, name_or_path: str | None = None) -> Source | None:
+def source_of(
+    folder: Path, name_or_path: str | None = None, options: dict[str, Any] | None = None
+) -> Source | None:
     """The source a data folder was made from, for checking its points against surfaces.
 
     Args:
         name_or_path: where the source is; without it, only the built-in shapes are at hand, with
             the settings the manifest records.
+        options: of the source.
     """
     configuration = manifests.load(folder).configuration["source"]
     if name_or_path is None:
@@ -117,4 +120,4 @@ def source_of(folder: Path, name_or_path: str | None = None) -> Source | None:
             return None
         cls = registry.load(registry.SOURCES["parametric"])
         return cls.from_description(configuration)
-    return registry.load(registry.OPEN_SOURCE)(name_or_path)
+    return registry.load(registry.OPEN_SOURCE)(name_or_path, **(options or {}))

@@ -101,7 +101,10 @@ def _draw_axes(axes: Axes, rotation: NDArray, length: float = 0.3) -> None:
     for direction, colour in zip(rotation.T, AXIS_COLOURS.values(), strict=True):
         tip = direction[:2] * length
         axes.annotate(
-            "", tuple(corner + tip), tuple(corner), arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.2}
+            "",
+            tuple(corner + tip),
+            tuple(corner),
+            arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.2},
         )
 
 
