@@ -151,7 +151,7 @@ def _tube(p: Draw) -> Iterable[Solid]:
     variants={"portable": 3, "table": 4, "receiver": 2.5, "pill": 1.5, "boombox": 1.2,
               "handheld": 1.2, "clock": 1, "arched": 1, "stack": 0.7},
     width=(0.8, 1.3), height=(0.3, 0.78), depth=(0.22, 0.55), corner=(0.0, 0.3), panel=(0.3, 0.6),
-    knob=(0.03, 0.08), handle=(0.04, 0.18), antenna=(0.3, 0.8), lean=(-50.0, 50.0),
+    knob=(0.03, 0.08), handle=(0.04, 0.18), antenna=(0.2, 0.65), lean=(-50.0, 50.0),
     speaker=(0.25, 0.48), dial=(0.1, 0.3), foot=(0.0, 0.04),
 )  # fmt: skip
 def radio(p: Draw) -> Iterable[Solid]:
@@ -199,13 +199,24 @@ def radio(p: Draw) -> Iterable[Solid]:
         yield dial.at(half * 0.75 - i * p.knob * 2.5, front, tall * (0.3 + 0.1 * p.panel))
     yield box((-half * p.panel, half * p.panel), (front - 0.015, front),
               (tall * (0.85 - p.dial), tall * 0.85))  # fmt: skip
+    if p.chance(0.6):  # a row of keys
+        pitch = 2 * half * 0.8 / 10
+        low = tall * p.choice((0.06, 0.84))
+        for i in range(p.integer(4, 10)):
+            x = -half * 0.8 + pitch * i
+            yield box((x, x + pitch * 0.7), (front - reach, front), (low, low + tall * 0.1))
+    if p.chance(0.4):  # the chassis and the speaker's magnet, seen where a case has gaps
+        yield box(
+            half * (0.8 + p.panel), deep * 0.7, (tall * (0.5 - p.dial), tall * (0.5 + p.dial))
+        )
+        yield disc.scaled(y=deep * 12).at(half * 0.4, -deep * 0.1, tall / 2)
     upright = p.variant in ("portable", "boombox", "handheld")
-    if upright and p.chance(0.65):
+    if upright and p.chance(0.5):
         rise = tall + p.handle
         bar = p.knob * 0.4
         yield box(1.8 * half, bar * 2, (rise - bar * 2, rise))
         yield both(box((half * 0.9 - bar, half * 0.9), bar * 2, (tall * 0.9, rise)))
-    if p.variant != "receiver" and p.chance(0.45):
+    if p.variant != "receiver" and p.chance(0.25):
         length = p.antenna * (1.0 if p.chance(0.7) else 0.4)
         lean = np.radians(p.lean if p.chance(0.5) else 0.0)
         root = np.array([p.choice((-0.9, 0.9)) * half, deep * 0.25, tall * 0.98])

@@ -12,7 +12,7 @@ from renderers.shapes.solids import Solid, both, box, extrude, sheet, smooth
 
 @family(
     "mantel",
-    variants={"breast": 3, "arched": 2.5, "fireplace": 3, "surround": 4, "wall": 1,
+    variants={"breast": 4, "arched": 2.5, "fireplace": 3, "surround": 4, "wall": 1,
               "corner_wood": 0.5},
     width=(1.25, 1.75), depth=(0.45, 0.95), height=(0.85, 1.5), board=(0.03, 0.09),
     plate=(0.15, 0.5), rise=(0.05, 0.2), shelf=(0.0, 0.2), shelf_thickness=(0.03, 0.08),
