@@ -36,7 +36,8 @@ class Rules:
 
     Attributes:
         margin_m: an instance's points lie within this distance of its CAD's box, metres.
-        fragment_gap_m: points farther apart than this are not of one piece, metres.
+        fragment_gap_m: points farther apart than this, and not joined by the mesh, are not of one
+            piece, metres.
         min_fragment: a piece with less than this share of the points in the box belongs to
             something else and is dropped.
         min_points: an instance has at least so many.
@@ -65,12 +66,18 @@ class Rules:
         return asdict(self)
 
 
-def in_large_pieces(points: NDArray, rules: Rules) -> NDArray[np.bool_]:
-    """(n,) whether each (n,3) point, metres, is in a piece of at least ``min_fragment`` of them."""
-    pairs = cKDTree(points).query_pairs(rules.fragment_gap_m, output_type="ndarray")
-    n = len(points)
-    edges = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    piece = connected_components(edges, directed=False)[1]
+def in_large_pieces(points: NDArray, edges: NDArray, rules: Rules) -> NDArray[np.bool_]:
+    """(n,) whether each point is in a piece of at least ``min_fragment`` of all.
+
+    Args:
+        points: (n,3) metres.
+        edges: (e,2) pairs of points that the mesh joins; they hold a piece together however far
+            apart a decimated mesh has put them.
+    """
+    near = cKDTree(points).query_pairs(rules.fragment_gap_m, output_type="ndarray")
+    n, pairs = len(points), np.concatenate([near, edges])
+    graph = coo_array((np.ones(len(pairs), np.bool_), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    piece = connected_components(graph, directed=False)[1]
     return np.bincount(piece)[piece] >= rules.min_fragment * n
 
 

@@ -69,6 +69,7 @@ class Scene:
     Attributes:
         scene_id: e.g. "scene0470_00".
         vertices: (n,3) float64, metres, scan frame, z up.
+        faces: (f,3) int64.
         normals: (n,3) float64 unit vertex normals (zero where a vertex has no face).
         labels: (n,) int64 nyu40 ids, 0 = unlabelled.
         groups: the annotated objects, or None where the scene came without segmentation files.
@@ -78,6 +79,7 @@ class Scene:
 
     scene_id: str
     vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
     normals: NDArray[np.float64]
     labels: NDArray[np.int64]
     groups: list[SegmentGroup] | None
@@ -189,7 +191,8 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
         labels = np.zeros(len(vertices), np.int64)
         for group in groups:
             labels[np.isin(segments, group.segments)] = label_map.nyu40_of.get(group.label, 0)
-    return Scene(scene_id, vertices, _normals(mesh), labels, groups, segments, notes)
+    faces = np.asarray(mesh.faces, np.int64)
+    return Scene(scene_id, vertices, faces, _normals(mesh), labels, groups, segments, notes)
 
 
 def _read_ply(path: Path) -> trimesh.Trimesh:
@@ -222,10 +225,13 @@ def _normals(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
 def _read_labels(
     path: Path, vertices: int, label_map: LabelMap, notes: dict[str, Any]
 ) -> NDArray[np.int64]:
-    raw = _read_ply(path).metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
-    if raw is None or "label" not in raw.dtype.names:
-        raise InputError(f"{path.name}: its vertices have no property 'label'")
-    labels = np.asarray(raw["label"], np.int64).reshape(-1)
+    mesh = _read_ply(path)
+    try:
+        # Binary files give a structured array here, text files a dictionary.
+        raw = mesh.metadata["_ply_raw"]["vertex"]["data"]["label"]
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{path.name}: its vertices have no property 'label'") from error
+    labels = np.array(raw, np.int64).reshape(-1)
     if len(labels) != vertices:
         raise InputError(f"{path.name}: labels {len(labels)} vertices, the mesh has {vertices}")
     # Some releases hold ScanNet's own ids among the nyu40 ids; above 40 they are told apart.
@@ -248,8 +254,9 @@ def _read_json(path: Path, key: str) -> Any:
 
 
 def _read_segments(path: Path, vertices: int) -> NDArray[np.int64]:
+    data = _read_json(path, "segIndices")
     try:
-        segments = np.asarray(_read_json(path, "segIndices"), np.int64)
+        segments = np.asarray(data, np.int64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{path.name}: segIndices are not integers") from error
     if segments.shape != (vertices,):
@@ -260,12 +267,13 @@ def _read_segments(path: Path, vertices: int) -> NDArray[np.int64]:
 
 
 def _read_groups(path: Path) -> list[SegmentGroup]:
+    data = _read_json(path, "segGroups")
     try:
         return [
             SegmentGroup(
                 int(group["objectId"]), str(group["label"]), np.asarray(group["segments"], np.int64)
             )
-            for group in _read_json(path, "segGroups")
+            for group in data
         ]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(

@@ -242,7 +242,7 @@ def _by_label(
         own = vertices[owner[vertices] == position]
         kept = own
         if len(own):
-            kept = own[in_large_pieces(scene.vertices[own], rules)]
+            kept = own[in_large_pieces(scene.vertices[own], _edges_among(scene, own), rules)]
         loose = 1 - len(kept) / max(len(own), 1)
         if loose > rules.max_outside:
             details = {"share": round(loose, 4), "maximum": rules.max_outside}
@@ -253,6 +253,14 @@ def _by_label(
         }  # fmt: skip
         results.append(Instance(model.index, name, model.symmetry, pose, kept, details))
     return results
+
+
+def _edges_among(scene: Scene, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(e,2) mesh edges between chosen vertices, as positions in ``chosen``."""
+    position = np.full(len(scene.vertices), -1)
+    position[chosen] = np.arange(len(chosen))
+    edges = position[scene.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)]
+    return edges[(edges >= 0).all(axis=1)]
 
 
 def _in_box(points: NDArray, pose: BoxPose, margin_m: float) -> NDArray[np.bool_]:

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from partialbench.errors import InputError
+from renderers.sources.scannet.frames import read_label_map, read_scene, space_of
+from tests.scannet.scenes import CHAIR, LABEL_MAP, Thing, relabel, write_scene
+
+
+@pytest.fixture
+def scene(scannet):
+    return scannet / "scans" / "scene0001_00"
+
+
+@pytest.fixture
+def label_map(scannet):
+    return read_label_map(scannet / "scannetv2-labels.combined.tsv")
+
+
+def test_label_map_knows_classes_and_ids(label_map):
+    assert label_map.class_of["armchair"] == "chair"
+    assert label_map.class_of["printer"] == "printer"  # ModelNet40 has no printer
+    assert "trash can" not in label_map.class_of
+    assert label_map.nyu40_of_id[1200] == 5
+    assert label_map.nyu40_ids["desk"] == {14}
+    assert label_map.nyu40_ids["bathtub"] == frozenset()
+
+
+def test_rare_nyu40_ids_of_a_class_are_dropped(tmp_path):
+    path = tmp_path / "map.tsv"
+    rare = "60\tbunk chair\tchair\t1\t39\tchair\tchair\n"
+    path.write_text(LABEL_MAP.replace("\t9\t", "\t90\t") + rare)
+    assert read_label_map(path).nyu40_ids["chair"] == {5}
+    path.write_text(LABEL_MAP.replace("\t9\t", "\t9\t") + rare)
+    assert read_label_map(path).nyu40_ids["chair"] == {5, 39}
+
+
+def test_scene_is_read_vertex_by_vertex(scene, label_map):
+    read = read_scene(scene, label_map)
+    text = (scene / f"{scene.name}_vh_clean_2.labels.ply").read_text()
+    rows = text.split("end_header\n")[1].splitlines()[: len(read.vertices)]
+    expected = np.array([row.split() for row in rows], float)
+    np.testing.assert_allclose(read.vertices, expected[:, :3], atol=1e-6)
+    np.testing.assert_array_equal(read.labels, expected[:, 3])
+    assert read.groups is None
+    assert read.notes == {}
+    floor_top = (read.labels == 2) & (np.abs(read.vertices[:, :2]).max(axis=1) < 2.8)
+    floor_top &= np.isclose(read.vertices[:, 2], 0, atol=1e-6)
+    np.testing.assert_allclose(read.normals[floor_top], [[0, 0, 1]] * floor_top.sum(), atol=1e-6)
+
+
+def test_labels_above_40_are_mapped_or_dropped_and_noted(scene, label_map):
+    before = read_scene(scene, label_map).labels
+    chairs, bins = relabel(scene, 5, 1200), relabel(scene, 39, 999)
+    assert chairs > 0
+    assert bins > 0
+    read = read_scene(scene, label_map)
+    np.testing.assert_array_equal(read.labels, np.where(before == 39, 0, before))
+    assert read.notes == {"labels_mapped": {"1200": chairs}, "labels_unknown": {"999": bins}}
+
+
+def test_segmentation_stands_in_for_missing_labels(tmp_path, label_map):
+    write_scene(tmp_path, "scene0002_00", [Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0, 0))], True)
+    folder = tmp_path / "scans" / "scene0002_00"
+    with_labels = read_scene(folder, label_map)
+    (folder / "scene0002_00_vh_clean_2.labels.ply").unlink()
+    without = read_scene(folder, label_map)
+    np.testing.assert_array_equal(without.labels, with_labels.labels)
+    assert [g.label for g in without.groups] == ["floor", "chair"]
+
+
+def test_missing_files_are_named(scene, label_map):
+    labels = scene / f"{scene.name}_vh_clean_2.labels.ply"
+    labels.rename(scene / "elsewhere")
+    with pytest.raises(InputError, match=r"neither .*labels\.ply nor both of .*segs\.json"):
+        read_scene(scene, label_map)
+    (scene / f"{scene.name}_vh_clean_2.ply").unlink()
+    with pytest.raises(InputError, match=r"scene0001_00_vh_clean_2\.ply is missing"):
+        read_scene(scene, label_map)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("_vh_clean_2.ply", b"ply\nformat ascii 1.0\nelement vertex 5\n", "damaged PLY"),
+        ("_vh_clean_2.ply", b"not a mesh", "damaged PLY"),
+        ("_vh_clean_2.0.010000.segs.json", b'{"segIndices": [1, 2]}', "the mesh has"),
+        ("_vh_clean_2.0.010000.segs.json", b'{"segIndices": ["a"]}', "not integers"),
+        ("_vh_clean_2.0.010000.segs.json", b"{", "damaged"),
+        (".aggregation.json", b'{"groups": []}', "segGroups"),
+        (".aggregation.json", b'{"segGroups": [{"label": "chair"}]}', "objectId"),
+    ],
+)
+def test_damaged_files_are_named(tmp_path, label_map, name, content, message):
+    write_scene(tmp_path, "scene0002_00", [Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0, 0))], True)
+    folder = tmp_path / "scans" / "scene0002_00"
+    (folder / f"scene0002_00{name}").write_bytes(content)
+    with pytest.raises(InputError, match=message) as caught:
+        read_scene(folder, label_map)
+    assert name in str(caught.value)
+
+
+def test_truncated_binary_mesh_is_an_input_error(tmp_path, label_map, scene):
+    import trimesh
+
+    path = scene / f"{scene.name}_vh_clean_2.ply"
+    trimesh.creation.icosphere().export(path)
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(InputError, match="damaged PLY"):
+        read_scene(scene, label_map)
+
+
+def test_labels_of_another_mesh_are_refused(scene, label_map):
+    mesh = scene / f"{scene.name}_vh_clean_2.ply"
+    other = scene.parent / "scene0009_00"
+    write_scene(scene.parent.parent, "scene0009_00", [])
+    mesh.write_bytes((other / "scene0009_00_vh_clean_2.ply").read_bytes())
+    with pytest.raises(InputError, match=r"labels \d+ vertices, the mesh has \d+"):
+        read_scene(scene, label_map)
+
+
+def test_label_map_errors(tmp_path):
+    with pytest.raises(InputError, match="part of the ScanNet download"):
+        read_label_map(tmp_path / "absent.tsv")
+    path = tmp_path / "map.tsv"
+    path.write_text("id\traw_category\n1\twall\n")
+    with pytest.raises(InputError, match="ModelNet40, ShapeNetCore55, count, nyu40id"):
+        read_label_map(path)
+    path.write_text(LABEL_MAP + "x\tsofa\tsofa\t9\t6\tsofa\tsofa\n")
+    with pytest.raises(InputError, match="line 10"):
+        read_label_map(path)
+
+
+def test_rescans_share_a_space():
+    assert space_of("scene0470_00") == space_of("scene0470_12") == "scene0470"
