@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from baselines.edges import edge_moments, neighbour_max
 from baselines.points import knn, normalise
 from baselines.published import tensors
-from baselines.shared_mlp import Normed, NormLinear
+from baselines.shared_mlp import Normed, NormLinear, activated
 from partialbench.benchmark.prediction import Prediction
 
 SLOPE = 0.2
@@ -78,7 +78,7 @@ class DGCNN(nn.Module):
         for conv in self.convs:
             x = conv(x, self.k)
             features.append(x)
-        x = F.leaky_relu_(self.embed(torch.cat(features, dim=-1)), SLOPE)
+        x = activated([self.embed], torch.cat(features, dim=-1), SLOPE)
         pooled = torch.cat([x.max(dim=1).values, x.mean(dim=1)], dim=-1)
         return Prediction(self.head(pooled))
 

@@ -80,6 +80,33 @@ class _NeighbourMax(torch.autograd.Function):
         return d_a, None
 
 
+class _EdgeReLU(torch.autograd.Function):
+    """ReLU of a[index] + c for every edge; a (P,C), c (Q,C), index (Q,n) → (Q,n,C)."""
+
+    @staticmethod
+    def forward(ctx: Any, a: Tensor, c: Tensor, index: Tensor) -> Tensor:
+        edges = a.index_select(0, index.flatten()).view(*index.shape, -1)
+        edges.add_(c[:, None]).relu_()
+        ctx.save_for_backward(edges, index)
+        ctx.points = len(a)
+        return edges
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_edges: Tensor) -> tuple[Tensor, Tensor, None]:
+        edges, index = ctx.saved_tensors
+        d_edges = torch.ops.aten.threshold_backward(d_edges, edges, 0)
+        d_a = edges.new_zeros(ctx.points, edges.shape[-1])
+        d_a.index_add_(0, index.flatten(), d_edges.flatten(0, 1))
+        return d_a, d_edges.sum(dim=1), None
+
+
+def edge_relu(a: Tensor, c: Tensor, index: Tensor) -> Tensor:
+    """ReLU of a_j + c_i for every edge: (B,N,C), (B,S,C), neighbours (B,S,n) → (B,S,n,C)."""
+    flat = flat_index(index, a.shape[1]).flatten(0, 1)
+    return _EdgeReLU.apply(a.flatten(0, 1), c.flatten(0, 1), flat).view(*index.shape, -1)
+
+
 def edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and variance (C,) of a_j + c_i over all edges of a batch, the variance over the count.
 

@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from baselines.edges import edge_moments
+from baselines.edges import edge_moments, edge_relu
 from baselines.points import ball_query, farthest_points, gather, normalise
 from baselines.published import tensors
 from baselines.shared_mlp import Normed, SharedMLP, head
@@ -51,7 +51,7 @@ CENTRES = (512, 128)
 
 
 class GroupLinear(Normed):
-    """The first layer of a group's MLP: BN(W·[x_j − c_i, f_j] + b) for every point j of ball i.
+    """The first layer of a group's MLP: ReLU(BN(W·[x_j − c_i, f_j] + b)), point j, ball i.
 
     It is taken once a point and once a centre, then gathered (see ``edges``).
 
@@ -75,10 +75,14 @@ class GroupLinear(Normed):
         else:
             assert features is not None
             x, c = features, features.new_zeros(*centres.shape[:2], len(weight))
-        a = F.linear(x, weight, bias)
-        moments = edge_moments(a, c, index) if self.norm.training else None
+        # The bias stays out of a, which keeps the digits of its differences.
+        a = F.linear(x, weight)
+        moments = None
+        if self.norm.training:
+            mean, var = edge_moments(a, c, index)
+            moments = mean + bias, var
         scale, shift = self.scale_and_shift(moments, index.numel())
-        return gather(a * scale, index).add_((c * scale + shift)[:, :, None])
+        return edge_relu(a * scale, (c + bias) * scale + shift, index)
 
 
 class SetAbstraction(nn.Module):
@@ -105,7 +109,7 @@ class SetAbstraction(nn.Module):
         for scale, first, rest in zip(self.scales, self.first, self.rest, strict=True):
             assert isinstance(rest, SharedMLP)
             index = ball_query(centres, xyz, scale.radius, scale.count, self.nearest)
-            pooled.append(rest.max(F.relu_(first(xyz, features, centres, index))))
+            pooled.append(rest.max(first(xyz, features, centres, index)))
         return torch.cat(pooled, dim=-1)
 
 

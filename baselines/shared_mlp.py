@@ -15,6 +15,7 @@ Layout: channels last, (…,C).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
 
@@ -198,17 +199,22 @@ class SharedMLP(nn.ModuleList):
 
     def forward(self, x: Tensor) -> Tensor:
         """(…,C) → (…,C_out)."""
-        for layer in self:
-            x = F.relu_(layer(x))
-        return x
+        return activated(self, x)
 
     def max(self, x: Tensor) -> Tensor:
         """(…,n,C) → (…,C_out): the maximum over n of the last layer's outputs."""
         *inner, last = self
         assert isinstance(last, NormLinear)
-        for layer in inner:
-            x = F.relu_(layer(x))
-        return F.relu_(last.max(x))
+        return F.relu_(last.max(activated(inner, x)))
+
+
+def activated(layers: Iterable[nn.Module], x: Tensor, slope: float = 0.0) -> Tensor:
+    """Layers with (leaky) ReLU after each, (…,C) → (…,C_out)."""
+    # On rows: the activation is in place, and in place on a view autograd copies the gradient.
+    rows = x.reshape(-1, x.shape[-1])
+    for layer in layers:
+        rows = F.leaky_relu_(layer(rows), slope) if slope else F.relu_(layer(rows))
+    return rows.view(*x.shape[:-1], -1)
 
 
 def head(*channels: int, dropout: tuple[float, ...]) -> nn.Sequential:

@@ -19,6 +19,11 @@ from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
 
 
+@pytest.fixture(autouse=True)
+def seed() -> None:
+    torch.manual_seed(0)
+
+
 @pytest.fixture
 def clouds(rng: np.random.Generator) -> Tensor:
     """(3,200,3) in the unit ball, with repeated points as clouds of few pixels have."""
@@ -249,7 +254,7 @@ class TestLayersEqualTheirPlainForm:
         index = points.ball_query(centres, clouds, 0.4, 10)
         relative = [points.gather(clouds, index) - centres[:, :, None]] if use_xyz else []
         grouped = torch.cat([*relative, points.gather(features, index)], dim=-1)
-        outputs = (ours(clouds, features, centres, index), normed(*theirs, grouped))
+        outputs = (ours(clouds, features, centres, index), normed(*theirs, grouped).relu())
         assert_same(ours, theirs, outputs, (features,))
 
 
@@ -263,6 +268,7 @@ class TestLayers:
         assert check(shared_mlp._Moments.apply, (values(9, 3),))
         assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
         assert check(edges._EdgeMoments.apply, (values(7, 3), values(5, 3), index))
+        assert check(edges._EdgeReLU.apply, (values(7, 3), values(5, 3), index))
         assert check(edges._NeighbourMax.apply, (values(7, 3), index))
 
     def test_work_in_parts_gives_the_same(
