@@ -121,6 +121,9 @@ def render(
     radius: Annotated[
         float | None, typer.Option(help="hidden point removal: radius of the spherical flip")
     ] = None,
+    gamma: Annotated[
+        float | None, typer.Option(help="the same as 10^gamma · the largest distance [1.75]")
+    ] = None,
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
     ] = False,
@@ -159,7 +162,7 @@ def render(
         ),
         occluder_options=_given(
             resolution=resolution, camera=camera and _camera(camera), variant=variant,
-            keep_depth=keep_depth or None, radius=radius,
+            keep_depth=keep_depth or None, radius=radius, gamma=gamma,
         ),
         sensor=sensor,
         workers=workers,

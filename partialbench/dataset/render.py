@@ -82,8 +82,12 @@ def plan_render(
     chosen = splits or shapes.splits()
     if unknown := [s for s in chosen if s not in shapes.splits()]:
         raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
-    seen_with = {"sensor": sensor} if sensor and source != "rooms" else {}
-    occluder = _make_occluder(occluder_name, {**(occluder_options or {}), **seen_with})
+    options = dict(occluder_options or {})
+    if sensor and source != "rooms":
+        options["sensor"] = sensor
+    if occluder_name == "whole":
+        options["samples"] = points
+    occluder = _make_occluder(occluder_name, options)
     return BuildPlan(
         Job(shapes, occluder, dataset_id, setting, per_split, points, seed),
         Path(out),

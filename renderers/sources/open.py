@@ -17,13 +17,15 @@ from renderers.sources.mesh import SUFFIXES
 
 CLOUDS = "renderers.sources.clouds:CompleteClouds"
 CLOUD_SUFFIXES = (".h5", ".hdf5")
+CLOUD_FILE_SUFFIXES = (".pcd", ".xyz", ".txt", ".npy")
 
 
 def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
     """The source behind a registered name or a path.
 
     A path may be a folder or a zip in ModelNet40's tree (only OFF files, all in ModelNet40's
-    classes and splits), any other folder or zip of meshes, or an HDF5 file of complete clouds.
+    classes and splits), any other folder or zip of meshes, a folder of complete clouds (PLY without
+    faces, PCD, XYZ, TXT, NPY), or an HDF5 file of them.
 
     Args:
         path_or_name: a name of ``registry.SOURCES`` or a path; a name wins over a path of the same
@@ -43,7 +45,8 @@ def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
         raise InputError(f"{text!r} is neither a path that exists nor the name of a source{near}")
     suffix = path.suffix.lower()
     if path.is_dir():
-        entry = _layout(Directory(path), "modelnet40")
+        files = Directory(path)
+        entry = CLOUDS if _holds_clouds(files) else _layout(files, "modelnet40")
     elif suffix in CLOUD_SUFFIXES:
         entry = CLOUDS
     elif zipfile.is_zipfile(path):
@@ -60,6 +63,26 @@ def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
             f"({', '.join(SUFFIXES)}) or an HDF5 file of clouds ({', '.join(CLOUD_SUFFIXES)})"
         )
     return _make(entry, text, {_first_parameter(entry): path, **options})
+
+
+def _holds_clouds(files: Files) -> bool:
+    """Whether a folder is one of clouds: none of its meshes has a face, and there are clouds.
+
+    PLY is written for both: a header without faces tells a cloud.
+    """
+    found = False
+    for name in files.names():
+        suffix = PurePosixPath(name).suffix.lower()
+        if suffix == ".ply":
+            header = files.read(name)[:4096].partition(b"end_header")[0]
+            if b"element face" in header:
+                return False
+            found = True
+        elif is_mesh(name):
+            return False
+        elif suffix in CLOUD_FILE_SUFFIXES:
+            found = True
+    return found
 
 
 def _layout(files: Files, modelnet: str) -> str:

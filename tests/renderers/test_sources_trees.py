@@ -320,3 +320,17 @@ def test_the_real_files_list_and_load(shared: Path, tmp_path: Path) -> None:
             np.testing.assert_allclose(mesh.bounds.sum(axis=0), 0, atol=1e-12)
             count += 1
     assert count == 8
+
+
+def test_a_folder_of_clouds_is_told_from_a_folder_of_meshes(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for folder, shape in (
+        ("clouds", trimesh.PointCloud(rng.normal(size=(50, 3)))),
+        ("meshes", trimesh.creation.box()),
+    ):
+        (tmp_path / folder / "crate").mkdir(parents=True)
+        shape.export(tmp_path / folder / "crate" / "one.ply")
+    assert open_source(tmp_path / "clouds").describe()["name"] == "clouds"
+    assert open_source(tmp_path / "meshes").describe()["name"] == "folder"
+    np.save(tmp_path / "clouds" / "crate" / "two.npy", rng.normal(size=(50, 3)))
+    assert open_source(tmp_path / "clouds").describe()["name"] == "clouds"
