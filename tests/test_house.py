@@ -109,6 +109,12 @@ def test_the_docs_show_the_schema_of_the_code():
     assert as_markdown() in (ROOT / "docs" / "data_format.md").read_text()
 
 
+def test_the_page_on_own_models_shows_the_example_that_is_run():
+    example = (ROOT / "examples" / "my_model.py").read_text()
+    assert example in (ROOT / "docs" / "own_model.md").read_text()
+    assert len(example.splitlines()) < 30
+
+
 def test_links_in_the_docs_lead_somewhere():
     for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
