@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from baselines.steerable import Fields, GatedBlock
 from baselines.voxels import occupancy
+from papnet.first_layer import pooled_first_layer
 
 DEGREES = 4  # l = 0, 1, 2, 3
 GRID = 64
@@ -57,7 +58,7 @@ class Backbone(nn.Module):
 
     def forward(self, points: Tensor, grid: int) -> Tensor:
         """(B,N,3) normalised clouds → (B,256,grid/4,grid/4,grid/4)."""
-        x = pool(self.conv1(occupancy(points, grid)))
+        x = pooled_first_layer(self.conv1, occupancy(points, grid))
         x = pool(self.conv22(self.conv21(x)))
         fine = self.conv24(self.conv23(x))
         middle = self.conv32(self.conv31(fine))

@@ -123,10 +123,10 @@ class SteerableConvolution(nn.Module):
                 f"expected (B,{self.fields_in.channels},X,Y,Z) for fields "
                 f"{self.fields_in.multiplicities}, got {tuple(x.shape)}"
             )
-        mean, var = self._statistics(x)
         if self.formulation == "assembled":
-            kernel, bias = self._cached_kernel(mean, var)
+            kernel, bias = self.normalised_kernel(x)
             return nn.functional.conv3d(x, kernel, bias, stride=self.stride, padding=self.padding)
+        mean, var = self._statistics(x)
         weights = self._normalised_weights(var)
         y = FactorisedConvolution.apply(x, self._geometry(), *weights)
         return y + self._bias(weights, mean).view(-1, 1, 1, 1).to(y.dtype)
@@ -198,8 +198,13 @@ class SteerableConvolution(nn.Module):
             rows.append(torch.cat(blocks, dim=1))
         return torch.cat(rows)
 
-    def _cached_kernel(self, mean: Tensor, var: Tensor) -> tuple[Tensor, Tensor]:
-        """Normalised kernel and bias; kept between calls in evaluation until a weight changes."""
+    def normalised_kernel(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """The dense kernel (C_out,C_in,s,s,s) and bias (C_out,) with the normalisation folded in.
+
+        In training they carry the statistics of ``x`` (B,C_in,X,Y,Z), and the running ones are
+        updated; in evaluation they are kept between calls until a weight changes.
+        """
+        mean, var = self._statistics(x)
         state = (*self.weights.values(), self.running_mean, self.running_var)
         # A tensor's version counts its in-place changes; its address changes with its device.
         key = tuple((t.data_ptr(), t._version, t.dtype) for t in state)

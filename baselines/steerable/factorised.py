@@ -21,7 +21,7 @@ from torch.nn.grad import conv3d_input
 from baselines.steerable.fields import Fields
 
 # Bytes of intermediate results per slab: what a core's cache holds, and what a GPU has to spare.
-_SLAB_BYTES = {"cpu": 4 << 20, "cuda": 1 << 30}
+_SLAB_BYTES = {"cpu": 16 << 20, "cuda": 1 << 30}
 
 
 class Geometry(NamedTuple):
@@ -92,16 +92,22 @@ class _Slabs:
             fields = part.reshape(-1, 2 * degree + 1, *part.shape[2:])
             y = nn.functional.conv3d(fields, kernel, stride=self.g.stride)
             per_input.append(y.view(len(part), m, len(kernel), -1))
-        outputs = []
+        voxels = per_input[0].shape[-1]
         offsets = [0] * len(per_input)
-        for row, (l_out, _, _) in zip(self.g.basis, self.g.fields_out.degrees, strict=True):
-            mixed = []
+        outputs = []
+        for row, rows, (l_out, _, _) in zip(
+            self.g.basis, self.g.mixed_rows, self.g.fields_out.degrees, strict=True
+        ):
+            # One copy per piece, straight to where the mixing reads it.
+            mixed = self.padded.new_empty(len(part), rows, (2 * l_out + 1) * voxels)
+            start = 0
             for i, (y, pair) in enumerate(zip(per_input, row, strict=True)):
-                width = len(pair) * (2 * l_out + 1)
+                width, stop = len(pair) * (2 * l_out + 1), start + y.shape[1] * len(pair)
                 piece = y[:, :, offsets[i] : offsets[i] + width]
-                mixed.append(piece.reshape(len(y), y.shape[1] * len(pair), -1))
+                mixed[:, start:stop].view(piece.shape).copy_(piece)
                 offsets[i] += width
-            outputs.append(torch.cat(mixed, dim=1))
+                start = stop
+            outputs.append(mixed)
         return outputs
 
     def contract(self, grads: list[Tensor], into: Tensor, samples: slice, planes: slice) -> None:
@@ -138,7 +144,7 @@ class FactorisedConvolution(torch.autograd.Function):
             weights = tuple(w.to(dtype) for w in weights)
             padded = nn.functional.pad(x.to(dtype), (geometry.padding,) * 6)
             slabs = _Slabs(geometry, padded)
-            out = padded.new_zeros(len(x), geometry.fields_out.channels, *slabs.shape)
+            out = padded.new_empty(len(x), geometry.fields_out.channels, *slabs.shape)
             for samples, planes, read in slabs:
                 for w, y, (_, _, channels) in zip(
                     weights, slabs.expand(samples, read), geometry.fields_out.degrees, strict=True

@@ -48,7 +48,10 @@ class GatedBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B,C_in,X,Y,Z) → (B,C_out,X',Y',Z')."""
-        y = self.convolution(x)
+        return self.gate(self.convolution(x))
+
+    def gate(self, y: Tensor) -> Tensor:
+        """The non-linearity alone: (B,C,X,Y,Z) with the gates after the scalars → (B,C_out,…)."""
         bias = torch.cat([self.scalar_bias, self.gate_bias]).view(-1, 1, 1, 1).to(y.dtype)
         pre, rest = y.split([len(bias), y.shape[1] - len(bias)], dim=1)
         pre = pre + bias
