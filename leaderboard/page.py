@@ -56,8 +56,14 @@ def as_html(
 
 def _column(column: Column, comparison: Comparison) -> dict[str, Any]:
     rows = [_row(column, comparison, name) for name in ranked(column)]
-    return {"title": column.title, "about": describe(column), "reported": column.reported, "crossed": crosses(column),
-            "rows": rows, "posed": any(row["pose"] for row in rows)}  # fmt: skip
+    return {
+        "title": column.title,
+        "about": describe(column),
+        "reported": column.reported,
+        "crossed": crosses(column),
+        "posed": any(row["pose"] for row in rows),
+        "rows": rows,
+    }
 
 
 def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:

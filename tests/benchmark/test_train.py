@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import os
 import signal
 import subprocess
@@ -73,15 +74,22 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path):
     assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
 
 
-@pytest.mark.parametrize("stop_at", [2, 6, 7, 15])
+# A rate so high that the loss rises again, and "plateau" has cuts to remember.
+RESTLESS = dataclasses.replace(RECIPE, lr=0.3, epochs=12)
+TWELVE = dataclasses.replace(PROTOCOL, epochs=12)
+
+
+@pytest.mark.parametrize("stop_at", [2, 7, 15, 48, 60])
 def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, monkeypatch, stop_at):
     """Six batches an epoch, saved every two: stops before the first save, at and off epoch ends."""
     monkeypatch.setattr(Interrupted, "stop_at", None)
-    whole = run(tmp_path / "whole", "Interrupted")
+    asked = {"model": "Interrupted", "protocol": TWELVE, "recipe": RESTLESS}
+    whole = run(tmp_path / "whole", **asked)
+    assert len({row["lr"] for row in whole.history}) > 1
     monkeypatch.setattr(Interrupted, "taken", 0)
     monkeypatch.setattr(Interrupted, "stop_at", stop_at)
     with pytest.raises(KeyboardInterrupt):
-        run(tmp_path / "cut", "Interrupted", checkpoint_every=2)
+        run(tmp_path / "cut", checkpoint_every=2, **asked)
     left = tmp_path / "cut" / "checkpoint.pt"
     if stop_at == 2:
         assert not left.exists()
@@ -89,11 +97,12 @@ def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, monkeypatc
         saved = checkpoint.load(left)
         assert saved["epoch"] * 6 + saved["batch"] == (stop_at - 1) // 2 * 2
     torch.manual_seed(99)  # whatever happened in between
-    resumed = run(tmp_path / "cut", "Interrupted", resume=True, checkpoint_every=2)
+    resumed = run(tmp_path / "cut", resume=True, checkpoint_every=2, **asked)
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
     for a, b in zip(whole.history, resumed.history, strict=True):
         assert a["train_loss"] == pytest.approx(b["train_loss"], rel=1e-12)
         assert a["validation_accuracy"] == b["validation_accuracy"]
+        assert a["lr"] == b["lr"]
 
 
 def test_resuming_a_finished_training_trains_nothing(tmp_path):
