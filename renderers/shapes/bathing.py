@@ -84,7 +84,7 @@ def bathtub(p: Draw) -> Iterable[Solid]:
     yield loft(rings)
     if p.variant == "apron" and p.chance(0.35):  # a recessed panel, or the shell is doubled
         yield box((-w - 0.004, w + 0.004), 0.86, (0.12 * h, 0.8 * h))
-    if p.chance(0.3):
+    if p.variant != "corner" and p.chance(0.3):
         yield box(2 * (w + p.lip), 1 + 2 * p.lip, (-0.03, 0))
     if p.chance(0.3):
         yield from _tap(p, 0, 0.5 - p.rim * 0.5, h)

@@ -7,6 +7,7 @@ Mitsuba renders once.
 from __future__ import annotations
 
 import io
+import itertools
 import math
 import os
 import tempfile
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.shards import write_atomically
 from partialbench.geometry.rotations import axis_rotation
 from renderers.shapes.catalogue import FAMILIES
-from renderers.shapes.family import make
+from renderers.shapes.family import Family, make
 from renderers.shapes.solids import Solid, join
 from renderers.variants import activate
 
@@ -44,7 +45,7 @@ def draw(
     samples: int = 64,
     seed: int = 0,
 ) -> Path:
-    """Render ``instances`` objects of every class, their name above, as a PNG.
+    """Render ``instances`` objects of every class, of different variants, as a PNG.
 
     Args:
         out: the file to write.
@@ -66,14 +67,23 @@ def draw(
         left = column * instances * PITCH
         labels.append((left / width, row / rows, name))
         view = _VIEW @ axis_rotation("z", math.radians(TURNED.get(name, 0.0)))
-        for i in range(instances):
-            mesh = make(name, i, seed)
+        for i, index in enumerate(varied(FAMILIES[name], instances, seed)):
+            mesh = make(name, index, seed)
             x = left + (i + 0.5) * PITCH - width / 2
             placed = Solid(mesh.vertices @ view.T, mesh.faces).at(x, y)
             parts[name in SEE_THROUGH].append(placed)
     clay, glass = join(parts[False]), join(parts[True])
     image = _render(clay, glass, width, height, pixels / PITCH, samples)
     return _write(image, labels, Path(out))
+
+
+def varied(family: Family, count: int, seed: int = 0) -> list[int]:
+    """The first ``count`` indices that show as many variants as they can, the heaviest first."""
+    found: dict[str, list[int]] = {}
+    for index in range(64 * count):
+        found.setdefault(family.draw(index, seed).variant, []).append(index)
+    rounds = itertools.zip_longest(*sorted(found.values(), key=len, reverse=True))
+    return [index for row in rounds for index in row if index is not None][:count]
 
 
 def _render(

@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 from partialbench.errors import InputError
-from renderers.shapes.contact_sheet import draw
+from renderers.shapes.catalogue import FAMILIES
+from renderers.shapes.contact_sheet import draw, varied
 from renderers.shapes.export import export_tree
 from renderers.shapes.family import GRID
 from renderers.shapes.source import ParametricShapes
@@ -50,6 +51,13 @@ def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path: Path) 
         with pytest.raises(InputError, match=message):
             export_tree(tmp_path / "tree", *arguments)
     assert not (tmp_path / "tree").exists()
+
+
+def test_the_sheet_shows_different_variants() -> None:
+    family = FAMILIES["lamp"]
+    shown = [family.draw(i).variant for i in varied(family, len(family.variants))]
+    assert sorted(shown) == sorted(family.variants)
+    assert len(set(varied(family, 30))) == 30
 
 
 @pytest.mark.slow
