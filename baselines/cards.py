@@ -219,7 +219,8 @@ CARDS: tuple[ModelCard, ...] = (
         paper_scores={"pm40": 80.8, "ps15": 84.1, "pm40>ps15": 41.7, "ps15>pm40": 48.8},
         choices=(
             "no official code was found: ψ modulo 2π, which tells a shape from its mirror image",
-            "directions closer than 1e-3 rad count as one, so that rounding decides no angle",
+            "φ jumps where two neighbours' directions meet: a ramp of 0.2 rad makes it continuous, "
+            "so that rounding decides nothing; it is capped at π/2",
             "32 nearest neighbours, one shared layer 4-64 and the maximum make a point's feature",
             "PointNet++ SSG groups by coordinates but no layer sees them; its recipe",
             "sampling starts at the point farthest from the centroid and balls keep their nearest "

@@ -13,8 +13,9 @@ The paper compares with this pair but releases no code for it. Ours: k = 32 neig
 layer 4-64 and the maximum over neighbours make a point's feature; PointNet++ (SSG) samples and
 groups by coordinates but sees these features alone, in its last level too. Everything chosen by
 coordinates is independent of the pose: sampling starts at the point farthest from the centroid and
-balls keep their nearest points. What remains is rounding: where two distances agree to the last
-digits, a turned cloud may choose the other.
+balls keep their nearest points. RRI's own discontinuities are ramps (``RAMP``, ``FADE``). What
+remains is rounding: where two distances agree to the last digits, a turned cloud may choose the
+other.
 """
 
 from __future__ import annotations
@@ -38,12 +39,17 @@ from partialbench.benchmark.prediction import Prediction
 
 NEIGHBOURS = 32
 WIDTH = 64
-TIE = 1e-3
-"""Radians within which two directions count as one. Exactly equal directions are common (symmetric
-shapes, repeated points); without a tolerance rounding would decide which of them comes first, and
-with it whether an angle is 0 or the whole gap to the next."""
-SMALL = 1e-5
-"""Lengths below this have no direction: a point at the centroid, a neighbour in line with p_i."""
+LARGEST = math.pi / 2
+"""Radians; larger φ, of neighbourhoods open to one side, count as this."""
+RAMP = 0.2
+"""Radians. As defined, φ_ik jumps where a neighbour's direction passes another's: ψ = 0 turns into
+2π and the least angle into the gap to the next. Equal directions are common (symmetric shapes,
+repeated points), and rounding would decide. Here a follower nearer than RAMP counts as
+ψ + LARGEST·(1 − ψ/RAMP), which is LARGEST on both sides of ψ = 0: φ is continuous, and as defined
+where no two directions are that near."""
+FADE = 0.1
+"""Length below which a direction fades out: of p_i near the centroid, of a neighbour across p̂_i
+when it is in line with it. Their angles would be rounding alone."""
 
 
 def across(p: Tensor) -> tuple[Tensor, Tensor]:
@@ -56,11 +62,10 @@ def across(p: Tensor) -> tuple[Tensor, Tensor]:
 
 @torch.no_grad()
 def rri(points: Tensor, k: int = NEIGHBOURS) -> Tensor:
-    """RRI features (B,N,k,4) as (r_i, r_ik, θ_ik, φ_ik) of centred clouds (B,N,3); no gradient.
+    """RRI features (B,N,k,4) as (r_i, r_ik, θ_ik, φ_ik) of normalised clouds (B,N,3); no gradient.
 
-    φ is 2π for a neighbour whose direction across p̂_i no other follows, and 0 for one that has no
-    such direction (in line with p_i, or p_i at the centroid); the latter is nobody's successor.
-    Neighbours are the k nearest other points, in no particular order.
+    φ is 0 for a neighbour in line with p_i, which is nobody's follower; θ and φ are 0 for a point
+    at the centroid. Neighbours are the k nearest other points, in no particular order.
     """
     with torch.autocast(points.device.type, enabled=False):
         points = full_precision(points)
@@ -69,20 +74,22 @@ def rri(points: Tensor, k: int = NEIGHBOURS) -> Tensor:
         q = gather(points, distance.topk(k, dim=-1, largest=False, sorted=False).indices)
         r = torch.linalg.vector_norm(points, dim=-1)
         r_k = torch.linalg.vector_norm(q, dim=-1)
-        p = torch.where(r[..., None] > SMALL, points / r[..., None].clamp_min(SMALL), 0.0)
+        p = points / r[..., None].clamp_min(1e-12)
         # In a frame about p, q = (x, y, along): θ and ψ are read off without acos.
         u, v = across(p)
         x, y, along = (q @ torch.stack([u, v, p], dim=-1)).unbind(-1)
-        across_length = torch.hypot(x, y)
-        theta = torch.atan2(across_length, along)
-        has_direction = across_length > SMALL
-        # The least ψ_kj is the gap to the next direction counter-clockwise: sort instead of
-        # comparing all pairs. A second turn follows the first; those without direction are last.
-        angle = torch.where(has_direction, torch.atan2(y, x), torch.inf)
-        first = angle.sort(dim=-1).values
-        turns = torch.cat([first, first + 2 * math.pi], dim=-1).sort(dim=-1).values
-        follower = torch.searchsorted(turns, angle + TIE, right=True).clamp_max(2 * k - 1)
-        phi = torch.where(has_direction, turns.gather(-1, follower) - angle, 0.0)
+        length = torch.hypot(x, y)
+        theta = torch.atan2(length, along)
+        has_direction = (length / FADE).clamp_max(1)
+        angle = torch.atan2(y, x)
+        psi = angle[..., None, :] - angle[..., None]
+        psi = torch.where(psi < 0, psi + 2 * math.pi, psi)
+        # A neighbour is its own follower at ψ = 0, which the ramp makes LARGEST.
+        psi += (1 - psi / RAMP).clamp_min_(0).mul_(LARGEST)
+        psi += LARGEST * (1 - has_direction[..., None, :])
+        phi = psi.amin(dim=-1).clamp_max_(LARGEST) * has_direction
+        fade = (r / FADE).clamp_max(1)[..., None]
+        theta, phi = theta * fade, phi * fade
         return torch.stack([r[..., None].expand_as(r_k), r_k, theta, phi], dim=-1)
 
 
