@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import shutil
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -28,8 +29,9 @@ GENERATION = 1
 ANNOTATIONS, TRUTH, SPLIT = "full_annotations.json", "truth.json", "split.json"
 _STAMP, _OWN = "rooms.json", "room.json"
 CYCLE = len(ROOM_TYPES)
-TEST_CYCLE = 4
-"""Of every five cycles through the room types, the one with this number is for testing."""
+TEST_CYCLE = 1
+"""Of every five cycles through the room types, the one with this number is for testing: ten rooms
+have both splits."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +50,17 @@ class RoomsFolder:
 
 
 def generate_rooms(
-    out: Path, num_rooms: int = 50, seed: int = 0, workers: int = 1, sensor: str = "kinect-v1"
+    out: Path,
+    num_rooms: int = 50,
+    seed: int = 0,
+    workers: int = 1,
+    sensor: str = "kinect-v1",
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> RoomsFolder:
     """Simulate, scan and annotate rooms; continues a folder that was interrupted.
 
     Rooms go through the five types in turn, so five rooms have all 15 classes. Rooms are split by
-    whole cycles of five: the last of every five cycles is for testing.
+    whole cycles of five: the second of every five cycles is for testing.
 
     Args:
         out: new, empty, or made by this function with the same seed and sensor.
@@ -61,6 +68,7 @@ def generate_rooms(
         seed: of everything.
         workers: processes.
         sensor: as ``renderers.sensors.make_sensor`` takes it.
+        on_progress: called with (rooms done, rooms in all), also for those that were there.
 
     Raises:
         InputError: num_rooms or workers below 1, an unknown sensor, a folder with other things.
@@ -76,23 +84,37 @@ def generate_rooms(
         "seed": seed, "sensor": sensor, "generation": GENERATION, "shapes": SHAPES_GENERATION
     }  # fmt: skip
     _stamp(out, configuration)
+    (out / "scans").mkdir(exist_ok=True)
     with open(out / ".lock", "w") as lock:
         # A second run into the same folder waits, and then finds the rooms made.
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return _generate(out, num_rooms, seed, workers, sensor)
+        jobs = [(out / "scans", index, seed, sensor) for index in range(num_rooms)]
+        _make_missing(jobs, workers, on_progress or (lambda done, total: None))
+        return _collect(out, num_rooms)
 
 
-def _generate(out: Path, num_rooms: int, seed: int, workers: int, sensor: str) -> RoomsFolder:
-    (out / "scans").mkdir(exist_ok=True)
-    jobs = [(out / "scans", index, seed, sensor) for index in range(num_rooms)]
-    missing = [job for job in jobs if not (out / "scans" / room_id(job[1])).is_dir()]
+def _make_missing(
+    jobs: list[tuple[Path, int, int, str]], workers: int, on_progress: Callable[[int, int], None]
+) -> None:
+    missing = [job for job in jobs if not (job[0] / room_id(job[1])).is_dir()]
+    done = len(jobs) - len(missing)
+    on_progress(done, len(jobs))
     if workers > 1 and len(missing) > 1:
         with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-            list(pool.map(_make_room, missing))
+            for _ in pool.map(_make_room, missing):
+                done += 1
+                on_progress(done, len(jobs))
     else:
         for job in missing:
             _make_room(job)
-    rooms = [json.loads((folder / room_id(i) / _OWN).read_bytes()) for folder, i, _, _ in jobs]
+            done += 1
+            on_progress(done, len(jobs))
+
+
+def _collect(out: Path, num_rooms: int) -> RoomsFolder:
+    """Write the files about all rooms."""
+    scans = out / "scans"
+    rooms = [json.loads((scans / room_id(i) / _OWN).read_bytes()) for i in range(num_rooms)]
     result = RoomsFolder(out, out / ANNOTATIONS, out / SPLIT, out / TRUTH)
     _write(result.scan2cad, [room["annotation"] for room in rooms])
     _write(result.truth_file, [piece for room in rooms for piece in room["truth"]])
@@ -110,7 +132,7 @@ def room_id(index: int) -> str:
 
 
 def split_of(index: int) -> str:
-    """ "test" for the last of every five cycles through the room types, else "train"."""
+    """ "test" for the second of every five cycles through the room types, else "train"."""
     return "test" if index // CYCLE % 5 == TEST_CYCLE else "train"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +11,19 @@ from renderers.rooms.generate import GENERATION, generate_rooms
 from renderers.sources.scannet.filters import Rules
 from renderers.sources.scannet.source import ScanNetInstances
 
-DEFAULT_ROOMS = 100
+DEFAULT_ROOMS = 50
 
 
 class SimulatedRooms(ScanNetInstances):
     """A `ScanNetInstances` over rooms that it makes first, where they are not there yet.
 
     Args:
-        rooms: how many; fewer than 25 have no test room.
+        rooms: how many; fewer than six have no test room.
         seed: of the rooms.
         folder: where they are kept; default: ``partialbench`` in the user's cache folder.
         sensor: as ``generate_rooms`` takes it.
         workers: processes that make and list them.
+        on_progress: called with (rooms made, rooms in all).
         viewpoints, rules: as for `ScanNetInstances`.
 
     Raises:
@@ -37,11 +39,12 @@ class SimulatedRooms(ScanNetInstances):
         workers: int = 1,
         viewpoints: str = "standing",
         rules: Rules | None = None,
+        on_progress: Callable[[int, int], None] | None = None,
     ) -> None:
         if folder is None:
             name = f"rooms-{GENERATION}-{sensor.replace(':', '-')}-seed{seed}-{rooms}"
             folder = cache_folder() / name
-        made = generate_rooms(folder, rooms, seed, workers, sensor)
+        made = generate_rooms(folder, rooms, seed, workers, sensor, on_progress)
         super().__init__(
             made.scannet,
             made.scan2cad,
@@ -55,7 +58,7 @@ class SimulatedRooms(ScanNetInstances):
 
     def describe(self) -> dict[str, Any]:
         """The rooms' own settings and those of the reader."""
-        return {**super().describe(), "split": "last of five cycles", **self.made}
+        return {**super().describe(), "split": "second of five cycles", **self.made}
 
 
 def cache_folder() -> Path:

@@ -166,8 +166,7 @@ def test_without_open3d_the_error_names_what_is_missing(tmp_path, monkeypatch):
 
 def test_both_splits_hold_whole_cycles_of_room_types():
     splits = [split_of(index) for index in range(50)]
-    assert splits[:20] == ["train"] * 20
-    assert splits[20:25] == ["test"] * 5
+    assert splits[:15] == ["train"] * 5 + ["test"] * 5 + ["train"] * 5
     assert splits.count("test") == 10
 
 

@@ -156,7 +156,7 @@ def _by_group(
 
     results: list[Instance | Rejected] = []
     details: dict[str, Any]
-    claims: list[tuple[float, int, int]] = []  # (−overlap, model position, group)
+    claims: list[tuple[float, int, int]] = []  # (−quality, model position, group)
     inside: dict[tuple[int, int], NDArray[np.bool_]] = {}
     for position, (model, pose) in enumerate(usable):
         overlaps: list[tuple[int, int]] = []
@@ -171,7 +171,8 @@ def _by_group(
             if label_map.class_of.get(scene.groups[g].label) in _classes(model)
         ]
         if fitting:
-            claims += [(-n / len(members[g]) * n, position, g) for n, g in fitting]
+            # How much of the object is in the box, and how much that is.
+            claims += [(-n * n / len(members[g]), position, g) for n, g in fitting]
         elif overlaps:
             raw = scene.groups[max(overlaps)[1]].label
             details = {"scan": raw, "cad": CATEGORIES[model.catid]}
