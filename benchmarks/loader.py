@@ -58,7 +58,7 @@ def main() -> None:
             seconds["h5py row by row"] += time.perf_counter() - start
         rates = {name: batches * BATCH / s for name, s in seconds.items()}
     for name, rate in rates.items():
-        print(f"{name:24} {rate:10,.0f} clouds/s")  # noqa: T201
+        print(f"{name:24} {rate:10,.0f} clouds/s")
     if arguments.json:
         arguments.json.write_text(json.dumps(rates, indent=1))
 

@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 from rich.table import Table
 
-from partialbench import __version__, registry
+from partialbench import __version__, arguments, registry
 from partialbench.errors import PartialbenchError
 
 app = typer.Typer(
@@ -157,11 +157,11 @@ def render(
         out,
         source=source,
         source_options=_given(
-            aligned=aligned or None, up=up, counts=counts and _counts(counts), scannet=scannet,
-            scan2cad=scan2cad, rooms=rooms,
+            aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
+            scannet=scannet, scan2cad=scan2cad, rooms=rooms,
         ),
         occluder_options=_given(
-            resolution=resolution, camera=camera and _camera(camera), variant=variant,
+            resolution=resolution, camera=camera and arguments.camera(camera), variant=variant,
             keep_depth=keep_depth or None, radius=radius, gamma=gamma,
         ),
         sensor=sensor,
@@ -314,8 +314,8 @@ def evaluate(
 
     done = run_eval(
         model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
-        first_seed=first_seed, precision=precision, recipe=_pairs(recipe), options=_pairs(option),
-        **_pairs(protocol),
+        first_seed=first_seed, precision=precision, recipe=arguments.pairs(recipe),
+        options=arguments.pairs(option), **arguments.pairs(protocol),
     )  # fmt: skip
     if as_json:
         print(json.dumps([dataclasses.asdict(result) for result in done], indent=1))
@@ -348,7 +348,7 @@ def predict(
     """Classify a capture of your own: class, confidence, and pose where the model has one."""
     from partialbench.benchmark.predict import predict as classify
 
-    K = None if intrinsics is None else _numbers(intrinsics, 4, "--intrinsics")
+    K = None if intrinsics is None else arguments.numbers(intrinsics, 4, "--intrinsics")
     answer = classify(checkpoint, file, K, depth_scale, device)
     data = {
         "file": str(file), "class": answer.top[0][0], "confidence": answer.top[0][1],
@@ -382,7 +382,11 @@ def shapes(
 ) -> None:
     """Export the built-in CAD shapes in ModelNet40's tree layout."""
     written = registry.load(registry.SHAPE_EXPORT)(
-        out, _counts(counts), formats.split(","), classes.split(",") if classes else None, seed
+        out,
+        arguments.counts(counts),
+        formats.split(","),
+        classes.split(",") if classes else None,
+        seed,
     )
     print(f"{written:,} files in {out}")
 
@@ -415,46 +419,6 @@ def quickstart(
     from partialbench.quickstart import quickstart as run
 
     print(run(out, model, workers or os.cpu_count() or 1, stderr))
-
-
-def _pairs(given: list[str] | None) -> dict[str, Any]:
-    """``["lr=0.01", "vector=false"]`` → {"lr": 0.01, "vector": False}; text stays text."""
-    parsed: dict[str, Any] = {}
-    for item in given or []:
-        name, equals, value = item.partition("=")
-        if not equals:
-            raise typer.BadParameter(f"{item!r} is not of the form name=value")
-        try:
-            parsed[name] = json.loads(value)
-        except json.JSONDecodeError:
-            parsed[name] = value
-    return parsed
-
-
-def _numbers(text: str, count: int, option: str) -> list[float]:
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise typer.BadParameter(f"{option} takes {count} numbers with commas, got {text!r}")
-    return values
-
-
-def _camera(text: str) -> Any:
-    import numpy as np
-
-    from partialbench.geometry.camera import Camera
-
-    fx, fy, cx, cy, width, height = _numbers(text, 6, "--camera")
-    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), int(width), int(height))
-
-
-def _counts(text: str) -> tuple[int, int] | str:
-    if text == "modelnet40":
-        return text
-    train, test = _numbers(text, 2, "--counts")
-    return int(train), int(test)
 
 
 def _given(**options: Any) -> dict[str, Any]:

@@ -1,0 +1,53 @@
+"""Values of command-line options that are more than one number: their little grammars.
+
+What does not parse raises ``typer.BadParameter``: wrong usage, exit status 2.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import typer
+
+from partialbench.geometry.camera import Camera
+
+
+def pairs(given: list[str] | None) -> dict[str, Any]:
+    """``["lr=0.01", "vector=false"]`` → {"lr": 0.01, "vector": False}; text stays text."""
+    parsed: dict[str, Any] = {}
+    for item in given or []:
+        name, equals, value = item.partition("=")
+        if not equals:
+            raise typer.BadParameter(f"{item!r} is not of the form name=value")
+        try:
+            parsed[name] = json.loads(value)
+        except json.JSONDecodeError:
+            parsed[name] = value
+    return parsed
+
+
+def numbers(text: str, count: int, option: str) -> list[float]:
+    """``count`` numbers separated by commas; ``option`` is named in the error."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count:
+        raise typer.BadParameter(f"{option} takes {count} numbers with commas, got {text!r}")
+    return values
+
+
+def camera(text: str) -> Camera:
+    """A fixed camera from FX,FY,CX,CY,WIDTH,HEIGHT in pixels."""
+    fx, fy, cx, cy, width, height = numbers(text, 6, "--camera")
+    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), int(width), int(height))
+
+
+def counts(text: str) -> tuple[int, int] | str:
+    """Objects per class as TRAIN,TEST, or "modelnet40" for the official numbers."""
+    if text == "modelnet40":
+        return text
+    train, test = numbers(text, 2, "--counts")
+    return int(train), int(test)
