@@ -1,4 +1,4 @@
-"""One picture of all families: ``python -m renderers.shapes.contact_sheet --out docs/shapes.png``.
+"""One picture of all families: ``python -m renderers.shapes.contact_sheet --out docs/images/shapes.png``.
 
 Every object stands on the picture plane, seen from the front left and above, in one scene that
 Mitsuba renders once.
@@ -152,7 +152,7 @@ def _write(image: NDArray[np.uint8], labels: list[tuple[float, float, str]], out
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="the PNG to write")] = Path("docs/shapes.png"),
+    out: Annotated[Path, typer.Option(help="the PNG to write")] = Path("docs/images/shapes.png"),
     instances: Annotated[int, typer.Option(help="objects of each class")] = 4,
     seed: Annotated[int, typer.Option(help="another seed, other shapes")] = 0,
 ) -> None:
