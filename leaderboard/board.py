@@ -1,4 +1,4 @@
-"""Result records grouped for comparison: columns of equal data and protocol, rows of one model.
+"""The board: columns of records that may be compared, and their rows.
 
 A column is one pair of training and test data under one protocol, by digest: results that differ in
 any of the three never share a column. A row is one model (and variant); its seeds are averaged.
@@ -57,21 +57,11 @@ class Column:
     cells: dict[str, Cell] = field(default_factory=dict)
 
 
-@dataclass
-class Board:
-    """Everything the tables show. ``rows``: row name → the newest result with its card."""
-
-    columns: list[Column]
-    rows: dict[str, Result]
-
-
-def make_board(results: Iterable[Result]) -> Board:
-    """Groups results by row, column and seed."""
+def make_board(results: Iterable[Result]) -> list[Column]:
+    """The columns of some results: a data set's own test set first, then others, by name."""
     grouped: dict[tuple[str, ...], dict[str, list[Result]]] = defaultdict(lambda: defaultdict(list))
-    rows: dict[str, Result] = {}
     for result in sorted(results, key=lambda r: (r.run_name, r.seed)):
         grouped[result.column][result.row].append(result)
-        rows.setdefault(result.row, result)
     columns = []
     for key, cells in grouped.items():
         first = next(iter(cells.values()))[0]
@@ -86,10 +76,9 @@ def make_board(results: Iterable[Result]) -> Board:
                 },
             )
         )
-    # A data set's own test set before others, then by name.
     columns.sort(key=lambda column: (column.key[0], column.key[3] != column.key[0], column.title))
     _tell_apart(columns)
-    return Board(columns, dict(sorted(rows.items())))
+    return columns
 
 
 def ranked(column: Column) -> list[str]:

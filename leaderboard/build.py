@@ -47,14 +47,14 @@ def build_leaderboard(
             f"'partialbench eval --results {folder}'"
         )
     board = make_board(records)
-    comparisons = [compare(column, folder) for column in board.columns]
+    comparisons = [compare(column, folder) for column in board]
     test_sets = [gallery.open_test_split(Path(each)) for each in data]
     drawn = figures.draw_all(board, comparisons, folder)
     svgs = {
         name: (caption, figures.to_bytes(figure, "svg"))
         for name, (caption, figure) in drawn.items()
     }
-    galleries = [gallery.disagreements(column, folder, test_sets) for column in board.columns]
+    galleries = [gallery.disagreements(column, folder, test_sets) for column in board]
     contents = {
         "leaderboard.md": tables.as_markdown(board, comparisons).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),

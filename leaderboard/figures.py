@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from leaderboard.board import Board, Column, ranked
+from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.tables import row_title
 from partialbench.benchmark import results
@@ -26,7 +26,7 @@ SETTINGS = ("aligned", "rotated", "partial")
 
 
 def draw_all(
-    board: Board, comparisons: list[Comparison], folder: Path
+    board: list[Column], comparisons: list[Comparison], folder: Path
 ) -> dict[str, tuple[str, Figure]]:
     """File stem → (caption, figure). Only figures that have something to show are made."""
     figures: dict[str, tuple[str, Figure]] = {}
@@ -34,9 +34,7 @@ def draw_all(
         settings = _by_setting(board)
         if settings is not None:
             figures["settings"] = ("Aligned, rotated and partial clouds", settings)
-        for number, (column, comparison) in enumerate(
-            zip(board.columns, comparisons, strict=True), 1
-        ):
+        for number, (column, comparison) in enumerate(zip(board, comparisons, strict=True), 1):
             figures[f"accuracy_{number}"] = (
                 f"Accuracy with 95 % intervals over objects: {column.title}",
                 _accuracy(column, comparison),
@@ -96,10 +94,10 @@ def _accuracy(column: Column, comparison: Comparison) -> Figure:
     return figure
 
 
-def _by_setting(board: Board) -> Figure | None:
+def _by_setting(board: list[Column]) -> Figure | None:
     """Bars for each model over the settings of one data set, where there are two or more."""
     families: dict[tuple[str, str], dict[str, Column]] = {}
-    for column in board.columns:
+    for column in board:
         train_id, setting, _, test_id, test_setting, _, protocol = column.key
         if train_id == test_id and setting == test_setting:
             families.setdefault((train_id, protocol), {})[setting] = column

@@ -11,7 +11,7 @@ from typing import Any
 
 import jinja2
 
-from leaderboard.board import Board, Column, ranked
+from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.gallery import Sample
 from leaderboard.tables import crosses, describe, engineering, row_title
@@ -20,7 +20,7 @@ TEMPLATE = Path(__file__).with_name("page.html.jinja")
 
 
 def as_html(
-    board: Board,
+    board: list[Column],
     comparisons: list[Comparison],
     figures: dict[str, tuple[str, bytes]],
     galleries: list[list[Sample]],
@@ -37,8 +37,7 @@ def as_html(
     environment.filters["percent"] = lambda share: "–" if share is None else f"{100 * share:.1f}"
     template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     columns = [
-        _column(column, comparison)
-        for column, comparison in zip(board.columns, comparisons, strict=True)
+        _column(column, comparison) for column, comparison in zip(board, comparisons, strict=True)
     ]
     samples = [
         dataclasses.asdict(sample) | {"column": number}
@@ -102,7 +101,6 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
                                ("validation_accuracy", "validation accuracy"))
             if len(first.training["curve"][key]) > 1 and None not in first.training["curve"][key]
         ],
-        "environment": first.environment,
         "protocol": first.protocol,
     }  # fmt: skip
 

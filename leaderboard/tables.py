@@ -6,15 +6,15 @@ import csv
 import io
 import math
 
-from leaderboard.board import Board, Column, ranked
+from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from partialbench.benchmark.results import Result
 
 
-def as_markdown(board: Board, comparisons: list[Comparison]) -> str:
+def as_markdown(board: list[Column], comparisons: list[Comparison]) -> str:
     """One table for each column, best row first, with the paper's figure where it has one."""
     parts = ["# Leaderboard\n"]
-    for column, comparison in zip(board.columns, comparisons, strict=True):
+    for column, comparison in zip(board, comparisons, strict=True):
         parts += [f"## {column.title}\n", describe(column) + "\n"]
         head = ["model", "input", "accuracy", "95 % interval", "group", "over classes"]
         crossed = crosses(column)
@@ -87,7 +87,7 @@ def describe(column: Column) -> str:
     )
 
 
-def as_csv(board: Board, comparisons: list[Comparison]) -> str:
+def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
     """One line for each row and column, every score as a number."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
@@ -99,7 +99,7 @@ def as_csv(board: Board, comparisons: list[Comparison]) -> str:
          "multiply_adds", "latency_ms", "batch_ms", "train_clouds_per_second",
          "peak_memory_bytes", "paper_reported"]
     )  # fmt: skip
-    for column, comparison in zip(board.columns, comparisons, strict=True):
+    for column, comparison in zip(board, comparisons, strict=True):
         for name in ranked(column):
             cell = column.cells[name]
             first, std = cell.results[0], cell.std()
@@ -129,13 +129,13 @@ def as_csv(board: Board, comparisons: list[Comparison]) -> str:
     return text.getvalue()
 
 
-def as_latex(board: Board, comparisons: list[Comparison]) -> str:
+def as_latex(board: list[Column], comparisons: list[Comparison]) -> str:
     """A document that compiles alone: one booktabs table for each column, in the paper's style."""
     parts = [
         r"\documentclass{article}", r"\usepackage[T1]{fontenc}", r"\usepackage[utf8]{inputenc}",
         r"\usepackage{booktabs,graphicx}", r"\begin{document}",
     ]  # fmt: skip
-    for column, comparison in zip(board.columns, comparisons, strict=True):
+    for column, comparison in zip(board, comparisons, strict=True):
         head = ["Methods", "Input (Size)", "Accuracy (\\%)", "95\\% interval", "Group"]
         if column.reported:
             head.append(f"{escape(reported_name(column))} (reported)")

@@ -41,6 +41,12 @@ class DataRecord:
     class_names: list[str]
 
 
+def file_name(*parts: str) -> str:
+    """The parts that are not empty, joined by "_", with what a file name should not hold as "-"."""
+    cleaned = (re.sub(r"[^A-Za-z0-9.=+-]+", "-", part).strip("-") for part in parts)
+    return "_".join(part for part in cleaned if part)
+
+
 def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
     """How a record names these rows of a split."""
     return DataRecord(
@@ -65,7 +71,8 @@ class Result:
         train_data, test_data: see ``DataRecord``.
         training: epochs, steps, clouds seen, seconds, clouds per second, last row of the log.
         cost: see ``audit.cost``. rotation_audit: see there.
-        environment: hardware, package versions, git commit (None outside a checkout).
+        environment: of the test: hardware, package versions, git commit (None outside a checkout);
+            that of the training is in ``training``.
         predictions_file, predictions_sha256: beside the record.
         scores: what ``metrics.scores`` makes of the stored predictions.
     """
@@ -115,7 +122,7 @@ class Result:
         if self.test_data.id != self.train_data.id:
             parts.append(f"on-{self.test_data.id}")
         parts += [self.protocol["preset"], f"seed{self.seed}", short]
-        return "_".join(re.sub(r"[^A-Za-z0-9.=+-]+", "-", part).strip("-") for part in parts)
+        return file_name(*parts)
 
 
 def write(folder: Path, result: Result, predictions: Predictions) -> Path:

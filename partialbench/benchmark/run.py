@@ -81,7 +81,7 @@ def run_eval(
     fabric = make_fabric(device, precision)
     if checkpoint_file is not None:
         tests = [folder for folder in (data, test_data) if folder is not None]
-        return _test_checkpoint(Path(checkpoint_file), tests, fabric, results_folder)
+        return _test_checkpoint(model, Path(checkpoint_file), tests, fabric, results_folder)
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
     if seeds < 1:
@@ -136,10 +136,13 @@ def make_task(
 
 def run_folder(task: Task) -> str:
     """The name of a training's own folder: where its checkpoint and log are."""
-    name = f"{task.model} {task.variant}".strip().replace(":", ".").replace(" ", "_")
-    data = f"{task.dataset.dataset_id}-{task.dataset.digest[:8]}"
-    kind = f"{task.protocol.preset}-{task.protocol.digest[:8]}"
-    return f"{name}_{data}_{kind}_seed{task.seed}"
+    return results.file_name(
+        task.model,
+        task.variant,
+        f"{task.dataset.dataset_id}-{task.dataset.digest[:8]}",
+        f"{task.protocol.preset}-{task.protocol.digest[:8]}",
+        f"seed{task.seed}",
+    )
 
 
 def _test_all(
@@ -188,9 +191,7 @@ def _test(
         training=content["summary"],
         cost=cost,
         rotation_audit=rotation_audit,
-        environment=environment.describe(
-            fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
-        ),
+        environment=environment.describe(fabric.device),
         predictions_file="",
         predictions_sha256="",
         scores=metrics.scores(predictions, train_data.class_names, test_set.class_names),
@@ -201,11 +202,13 @@ def _test(
 
 
 def _test_checkpoint(
-    path: Path, tests: list[Path | str], fabric: Fabric, folder: Path
+    model_name: str, path: Path, tests: list[Path | str], fabric: Fabric, folder: Path
 ) -> list[Result]:
     if not tests:
         raise InputError("nothing to test on: give --data or --test-data")
     content = checkpoint.load(path)
+    if content["model"] != model_name:
+        raise InputError(f"{path} holds a {content['model']!r}, not a {model_name!r}")
     if "summary" not in content:
         raise InputError(
             f"{path} is of an unfinished training (epoch {content['epoch']}); finish it with "
@@ -235,15 +238,20 @@ def make_fabric(device: str, precision: str) -> Fabric:
         raise InputError(f"device must be auto, cpu, cuda or cuda:0 …, got {device!r}")
     if kind == "cuda" and not torch.cuda.is_available():
         raise InputError("device cuda was asked for, but torch sees no CUDA device")
-    processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
-    nodes = int(os.environ.get("WORLD_SIZE", "1")) // processes
-    fabric = Fabric(
-        accelerator=kind,
-        devices=[int(index)] if index else processes,
-        num_nodes=nodes,
-        strategy="ddp" if processes * nodes > 1 else "auto",
-        precision=precision,  # type: ignore[arg-type]
-    )
+    processes, nodes = 1, 1
+    if "LOCAL_WORLD_SIZE" in os.environ:  # torchrun sets it
+        processes = int(os.environ["LOCAL_WORLD_SIZE"])
+        nodes = int(os.environ["WORLD_SIZE"]) // processes
+    try:
+        fabric = Fabric(
+            accelerator=kind,
+            devices=[int(index)] if index else processes,
+            num_nodes=nodes,
+            strategy="ddp" if processes * nodes > 1 else "auto",
+            precision=precision,  # type: ignore[arg-type]
+        )
+    except ValueError as error:
+        raise InputError(f"device {device!r}, precision {precision!r}: {error}") from error
     fabric.launch()
     return fabric
 
@@ -257,4 +265,4 @@ def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> N
 
 
 def _variant(recipe: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    return " ".join(f"{k}={v}" for k, v in sorted({**recipe, **options}.items()))
+    return " ".join(f"{k}={v}" for k, v in sorted([*recipe.items(), *options.items()], key=str))

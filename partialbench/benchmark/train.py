@@ -27,7 +27,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from partialbench.benchmark import audit, checkpoint, evaluate, models
+from partialbench.benchmark import audit, checkpoint, environment, evaluate, models
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import BatchStream, Clouds, Place
 from partialbench.benchmark.prediction import Batch, Prediction
@@ -93,7 +93,7 @@ class Trained:
         history: one row an epoch, as in log.csv.
         summary: epochs, steps, clouds seen, seconds (wall time of all its parts, interruptions not
             counted), median clouds per second, the last epoch's loss and validation accuracy and
-            the curves of both, peak memory.
+            the curves of both, peak memory, and the environment it ran in.
     """
 
     model: nn.Module
@@ -199,6 +199,9 @@ def train(
                 for name in ("train_loss", "validation_accuracy")
             },
             "peak_memory_bytes": audit.peak_memory_bytes(fabric.device),
+            "environment": environment.describe(
+                fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
+            ),
         }
 
     def save() -> None:

@@ -105,6 +105,8 @@ def test_a_checkpoint_tested_alone_gives_the_same_record(done, data, tmp_path):
     assert again.predictions_sha256 == first.predictions_sha256
     assert again.scores == first.scores
     assert again.training == first.training
+    with pytest.raises(InputError, match=r"holds a .*Posed', not a 'pointnet'"):
+        run_eval("pointnet", data, checkpoint_file=weights, device="cpu", results_folder=tmp_path)
 
 
 def test_resuming_a_finished_evaluation_changes_no_prediction(done, data, other):
@@ -143,6 +145,7 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"num_points": 4096}, "4096 were asked for"),
         ({"data": None}, "nothing to train on"),
         ({"checkpoint_file": "no.pt"}, "no checkpoint at no.pt"),
+        ({"precision": "32-false"}, "precision '32-false'"),
     ],
 )
 def test_wrong_arguments_are_named(data, tmp_path, arguments, message):

@@ -15,6 +15,7 @@ from partialbench.benchmark.recipe import as_dict
 from partialbench.benchmark.results import DataRecord, Result
 from partialbench.registry import ModelCard
 
+ENVIRONMENT = {"device": "cpu", "cpu": "a processor", "git_commit": "0" * 40, "packages": {}}
 CLASSES = ["bottle", "chair", "lamp", "table"]
 
 
@@ -65,14 +66,13 @@ def record(
         seed=seed,
         training={"epochs": 2, "steps": 6, "clouds_seen": 200, "seconds": 1.5,
                   "clouds_per_second": 300.0, "train_loss": 0.5, "validation_accuracy": 0.7,
-                  "peak_memory_bytes": 2**28,
+                  "peak_memory_bytes": 2**28, "environment": ENVIRONMENT,
                   "curve": {"train_loss": [1.5, 0.5], "validation_accuracy": [0.4, 0.7]}},
         cost={"parameters": 1234 + 100 * len(name), "multiply_adds": 10**6 * len(name),
               "latency_ms": 3.0, "batch_ms": 0.5 * len(name), "batch_size": 32,
               "peak_memory_bytes": 2**27},
         rotation_audit={"drift": 0.25, "changed": 0.1, "clouds": 24, "turns": 2},
-        environment={"device": "cpu", "cpu": "a processor", "git_commit": "0" * 40,
-                     "packages": {"torch": "2"}},
+        environment=ENVIRONMENT,
         predictions_file="", predictions_sha256="",
         scores=metrics.scores(stored, CLASSES, CLASSES),
     )  # fmt: skip

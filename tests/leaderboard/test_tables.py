@@ -30,7 +30,7 @@ def folder(tmp_path):
 
 def test_cells_average_their_seeds(folder):
     board = make_board(results.read_folder(folder))
-    column = next(c for c in board.columns if "→" not in c.title)
+    column = next(c for c in board if "→" not in c.title)
     cell = column.cells["good"]
     found = [r.scores["accuracy"] for r in cell.results]
     assert [r.seed for r in cell.results] == [0, 1]
@@ -51,21 +51,21 @@ def test_other_data_or_protocol_is_another_column(tmp_path, other):
     add(tmp_path, "two", 0.8)
     add(tmp_path, "two", 0.8, **other)
     board = make_board(results.read_folder(tmp_path))
-    assert len(board.columns) == 2
-    assert len({c.title for c in board.columns}) == 2
-    assert sorted(sorted(c.cells) for c in board.columns) == [["one", "two"], ["two"]]
+    assert len(board) == 2
+    assert len({c.title for c in board}) == 2
+    assert sorted(sorted(c.cells) for c in board) == [["one", "two"], ["two"]]
 
 
 def test_a_variant_is_a_row_of_its_own(tmp_path):
     add(tmp_path, "one", 0.9)
     add(tmp_path, "one", 0.8, variant="lr=0.1")
-    (column,) = make_board(results.read_folder(tmp_path)).columns
+    (column,) = make_board(results.read_folder(tmp_path))
     assert set(column.cells) == {"one", "one [lr=0.1]"}
 
 
 def test_groups_tell_the_poor_from_the_good_and_not_equals_apart(folder):
     board = make_board(results.read_folder(folder))
-    column = next(c for c in board.columns if "→" not in c.title)
+    column = next(c for c in board if "→" not in c.title)
     found = compare(column, folder)
     assert set(found.groups["good"]) & set(found.groups["even"])
     assert not set(found.groups["good"]) & set(found.groups["poor"])
@@ -80,7 +80,7 @@ def test_results_on_other_clouds_of_the_same_data_are_refused(tmp_path):
     fewer = predictions(0.9, 3)
     fewer = fewer.select(np.arange(60))
     results.write(tmp_path, record("two", fewer), fewer)
-    (column,) = make_board(results.read_folder(tmp_path)).columns
+    (column,) = make_board(results.read_folder(tmp_path))
     with pytest.raises(InputError, match="was not tested on the same clouds"):
         compare(column, tmp_path)
 
