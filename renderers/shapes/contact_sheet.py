@@ -1,4 +1,4 @@
-"""One picture of all families: ``python -m renderers.shapes.contact_sheet --out docs/images/shapes.png``.
+"""All families in one picture: ``python -m renderers.shapes.contact_sheet --out FILE.png``.
 
 Every object stands on the picture plane, seen from the front left and above, in one scene that
 Mitsuba renders once.
