@@ -23,6 +23,7 @@ from renderers.rooms.layout import furnish
 from renderers.rooms.source import SimulatedRooms
 from renderers.sources.scannet.frames import read_label_map, read_scene
 from renderers.sources.scannet.occluder import ScanHprOccluder
+from renderers.sources.scannet.scan2cad import R_canonical_cad
 from renderers.sources.scannet.source import ScanNetInstances
 
 
@@ -73,8 +74,6 @@ def test_points_lie_on_the_furniture(rooms):
             p.cad for p in room.pieces if np.allclose(p.cad.size_m / 2, half, rtol=0, atol=1e-12)
         ]
         mesh = cad.mesh.copy()
-        from renderers.sources.scannet.scan2cad import R_canonical_cad
-
         mesh.vertices = (mesh.vertices * cad.scale) @ R_canonical_cad(cad.class_name).T
         metric = (shape.points[::40] - shape.box_centre) * shape.scale_m
         distance = closest_point(mesh, metric)[1]

@@ -13,6 +13,7 @@ from partialbench.errors import InputError
 from partialbench.geometry.rotations import geodesic_angle
 from renderers.sources.scannet import filters
 from renderers.sources.scannet.filters import Rules
+from renderers.sources.scannet.instances import SECOND
 from renderers.sources.scannet.occluder import ScanHprOccluder
 from renderers.sources.scannet.source import NO_PLACE, ScanNetInstances, counts_table
 from tests.scannet.scenes import (
@@ -107,14 +108,17 @@ def test_touching_chairs_are_parted(tmp_path):
         assert len(shape.points) == len(thing.mesh().vertices)
 
 
-def test_two_models_on_one_object_give_one_instance(tmp_path):
+@pytest.mark.parametrize("segmented", [False, True])
+def test_two_models_on_one_object_give_one_instance(tmp_path, segmented):
     chair = Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0, 0))
     off = Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0.1, 0.05))
-    write_scene(tmp_path, "scene0001_00", [chair], segmented=True)
-    write_annotations(tmp_path, [annotate("scene0001_00", [off, chair])])
+    write_scene(tmp_path, "scene0001_00", [chair], segmented)
+    write_annotations(tmp_path, [annotate("scene0001_00", [off, chair, off])])
     source = open_source(tmp_path)
-    assert list(everything(source)) == ["scene0001_00/1"]
-    assert "fits the same annotated object better" in reasons(source)["scene0001_00/0"]
+    [(object_id, shape)] = everything(source).items()
+    assert object_id == "scene0001_00/1"
+    assert len(shape.points) == len(chair.mesh().vertices)
+    assert reasons(source) == {f"scene0001_00/{i}": SECOND for i in (0, 2)}
 
 
 def test_an_object_that_spills_out_of_its_box_is_turned_away(tmp_path):

@@ -63,6 +63,8 @@ ShapeNet has no dresser, night stand, desk, sink or toilet: annotators took the 
 like them (cabinet, table, bathtub, bowl, pot, chair).
 """
 
+SECOND = "another CAD model fits the same object better"
+
 # What a box holds besides its object: unlabelled, wall, floor, floor mat, ceiling.
 STRUCTURE_IDS = (0, 1, 2, 20, 22)
 
@@ -95,6 +97,17 @@ class Rejected:
     index: int
     reason: str
     details: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class _Claim:
+    """A model and the vertices of its class in its box."""
+
+    model: AlignedModel
+    class_name: str
+    pose: BoxPose
+    vertices: NDArray[np.int64]
+    agreement: float
 
 
 def segment(
@@ -188,8 +201,7 @@ def _by_group(
     for position in sorted({p for _, p, _ in claims}):
         model, _ = usable[position]
         if position not in taken:
-            reason = "another CAD model fits the same annotated object better"
-            results.append(Rejected(model.index, reason, {"cad": CATEGORIES[model.catid]}))
+            results.append(Rejected(model.index, SECOND, {"cad": CATEGORIES[model.catid]}))
             continue
         g = taken[position]
         group, near = scene.groups[g], inside[position, taken[position]]
@@ -211,7 +223,7 @@ def _by_label(
     """Box ∩ label; a vertex in several boxes belongs to the one it is deepest in."""
     results: list[Instance | Rejected] = []
     details: dict[str, Any]
-    chosen: list[tuple[AlignedModel, str, BoxPose, NDArray[np.int64], float]] = []
+    chosen: list[_Claim] = []
     for model, pose in usable:
         near = np.flatnonzero(_in_box(scene.vertices, pose, rules.margin_m))
         labels = scene.labels[near]
@@ -230,30 +242,64 @@ def _by_label(
             results.append(Rejected(model.index, DISAGREEMENT, details))
             continue
         of_class = near[np.isin(labels, list(label_map.nyu40_ids[name]))]
-        chosen.append((model, name, box_pose(model, name), of_class, agreement))
+        chosen.append(_Claim(model, name, box_pose(model, name), of_class, agreement))
+    for claim in _second_models(scene, chosen):
+        chosen.remove(claim)
+        results.append(Rejected(claim.model.index, SECOND, {"cad": CATEGORIES[claim.model.catid]}))
 
     best = np.full(len(scene.vertices), np.inf)
     owner = np.full(len(scene.vertices), -1)
-    for position, (_, _, pose, vertices, _) in enumerate(chosen):
-        depth = (np.abs(pose.to_object(scene.vertices[vertices])) / pose.half_extent).max(axis=1)
-        closer = depth < best[vertices]
-        best[vertices[closer]] = depth[closer]
-        owner[vertices[closer]] = position
-    for position, (model, name, pose, vertices, agreement) in enumerate(chosen):
-        own = vertices[owner[vertices] == position]
+    for position, claim in enumerate(chosen):
+        local = claim.pose.to_object(scene.vertices[claim.vertices])
+        depth = (np.abs(local) / claim.pose.half_extent).max(axis=1)
+        closer = depth < best[claim.vertices]
+        best[claim.vertices[closer]] = depth[closer]
+        owner[claim.vertices[closer]] = position
+    for position, claim in enumerate(chosen):
+        own = claim.vertices[owner[claim.vertices] == position]
         kept = own
         if len(own):
             kept = own[in_large_pieces(scene.vertices[own], _edges_among(scene, own), rules)]
         loose = 1 - len(kept) / max(len(own), 1)
         if loose > rules.max_outside:
             details = {"share": round(loose, 4), "maximum": rules.max_outside}
-            results.append(Rejected(model.index, FRAGMENTED, details))
+            results.append(Rejected(claim.model.index, FRAGMENTED, details))
             continue
         details = {
-            "by": "box and label", "agreement": round(agreement, 4), "fragments": round(loose, 4)
+            "by": "box and label", "agreement": round(claim.agreement, 4),
+            "fragments": round(loose, 4),
         }  # fmt: skip
-        results.append(Instance(model.index, name, model.symmetry, pose, kept, details))
+        model = claim.model
+        results.append(
+            Instance(model.index, claim.class_name, model.symmetry, claim.pose, kept, details)
+        )
     return results
+
+
+def _second_models(scene: Scene, claims: list[_Claim]) -> list[_Claim]:
+    """The claims on an object that another of the same class fits better.
+
+    Two models mean one object when each box has the other's centre in its inner half; the one whose
+    box is nearer to the points' extent stays.
+    """
+    residual = [
+        box_residual_m(scene.vertices[c.vertices], c.pose) if len(c.vertices) else np.inf
+        for c in claims
+    ]
+    second = []
+    for i, a in enumerate(claims):
+        for j, b in enumerate(claims):
+            if i == j or a.class_name != b.class_name or (residual[i], i) < (residual[j], j):
+                continue
+            if _centre_within(a.pose, b.pose) and _centre_within(b.pose, a.pose):
+                second.append(a)
+                break
+    return second
+
+
+def _centre_within(inner: BoxPose, outer: BoxPose) -> bool:
+    offset = outer.to_object(inner.centre[None])[0]
+    return bool((np.abs(offset) < outer.half_extent / 2).all())
 
 
 def _edges_among(scene: Scene, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
