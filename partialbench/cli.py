@@ -149,6 +149,7 @@ def render(
     as_json: Json = False,
 ) -> None:
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
+    from partialbench.dataset.card import paper_rows
     from partialbench.dataset.render import plan_render
 
     workers = workers or os.cpu_count() or 1
@@ -182,7 +183,10 @@ def render(
          "failed": kinds["failed"], "rejected": kinds["rejected"], "digests": manifest.digests},
         as_json,
         f"{manifest.dataset_id} in {out}: "
-        + ", ".join(f"{n:,} {split} rows" for split, n in rows.items())
+        + ", ".join(
+            f"{n:,} {split} rows (the paper: {paper_rows(manifest, split):,})"
+            for split, n in rows.items()
+        )
         + (f"; {kinds['rejected']} turned away by a rule" if kinds["rejected"] else ""),
     )  # fmt: skip
     if kinds["failed"] and not allow_failures:

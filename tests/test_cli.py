@@ -136,6 +136,7 @@ def test_shapes_exports_a_tree_that_render_reads(tmp_path):
     run = partialbench(*RENDER, "--source", tmp_path / "cad", "--aligned", "--out",
                        tmp_path / "data", "--workers", 1, check=0)  # fmt: skip
     assert run.stdout.startswith("pm40 in")
+    assert "(the paper: 98,430)" in run.stdout
 
 
 def test_eval_predict_and_leaderboard_form_a_chain(rendered, tmp_path):
