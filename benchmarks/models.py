@@ -31,7 +31,10 @@ NUM_CLASSES = 40
 def references() -> dict[str, Callable[[int], nn.Module]]:
     """Every formulation in this folder's ``reference_*.py`` files, by model name."""
     table: dict[str, Callable[[int], nn.Module]] = {}
-    for path in sorted(Path(__file__).parent.glob("reference_*.py")):
+    here = Path(__file__).resolve().parent
+    # Run as a script, this folder leads the path and its file names would hide packages.
+    sys.path[:] = [str(here.parent), *(p for p in sys.path if Path(p).resolve() != here)]
+    for path in sorted(here.glob("reference_*.py")):
         spec = importlib.util.spec_from_file_location(path.stem, path)
         assert spec is not None
         assert spec.loader is not None

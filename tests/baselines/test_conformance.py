@@ -29,6 +29,9 @@ def heavy(name: str) -> bool:
 
 
 every_model = pytest.mark.parametrize("name", CARDS)
+every_model_heavy_slow = pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if heavy(n) else n for n in CARDS]
+)
 
 
 @functools.cache
@@ -91,24 +94,24 @@ def test_shapes(name: str) -> None:
 
 @every_model
 def test_evaluation_is_deterministic_and_takes_one_cloud(name: str) -> None:
-    model, points = settled(name), clouds()[:3]
+    model, points = settled(name), clouds()[: 2 if heavy(name) else 3]
     whole = logits(model, points)
     assert torch.equal(whole, logits(model, points))
     scale = float(whole.abs().max())
-    for i in range(3):
+    for i in range(len(points)):
         torch.testing.assert_close(
-            logits(model, points[i : i + 1]), whole[i : i + 1], atol=1e-5 * scale, rtol=0
+            logits(model, points[i : i + 1]), whole[i : i + 1], atol=1e-4 * scale, rtol=0
         )
 
 
-@every_model
+@every_model_heavy_slow
 def test_other_numbers_of_points_are_taken(name: str) -> None:
     for number in (256, 1024):
         points = clouds()[:2, torch.arange(number) % NUM_POINTS]
         assert logits(settled(name), points).isfinite().all()
 
 
-@every_model
+@every_model_heavy_slow
 def test_logits_depend_on_the_cloud(name: str) -> None:
     out = logits(settled(name), clouds()[:3])
     assert (out[0] - out[1]).abs().max() > 1e-3 * out.abs().max()
@@ -164,7 +167,7 @@ def largest_change(name: str, change: Callable[[Tensor], Tensor], trials: int) -
     )
 
 
-@every_model
+@every_model_heavy_slow
 def test_claimed_permutation_invariance_holds(name: str) -> None:
     if "permutation" not in CARDS[name].invariances:
         pytest.skip(f"{name} does not claim permutation invariance")
@@ -192,17 +195,25 @@ def test_rotation_invariance_is_as_claimed(name: str) -> None:
         assert change > 1e-3, f"{name} claims no rotation invariance but shows it: {change:.1e}"
 
 
-@every_model
+@every_model_heavy_slow
 def test_runs_in_bfloat16_autocast(name: str) -> None:
     model, points = settled(name), clouds()[:2]
-    full = logits(model, points)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        half = logits(model, points).float()
-        out = copy.deepcopy(model).train()(points)
-    assert half.isfinite().all()
-    # Eight bits of mantissa, and a discrete choice may tip: the same answer, not the same digits.
-    alike = nn.functional.cosine_similarity(half - half.mean(1, True), full - full.mean(1, True))
+    with torch.no_grad():
+        full = model(points)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            half = model(points)
+    assert half.class_logits.isfinite().all()
+    # Eight bits of mantissa: the same answer, not the same digits. A model that predicts a pose may
+    # turn its features by a neighbouring bin, so its poses are compared.
+    a, b = (
+        out.class_logits if out.pose_logits is None else out.pose_logits for out in (full, half)
+    )
+    alike = nn.functional.cosine_similarity(
+        a - a.mean(1, True), b.float() - b.float().mean(1, True)
+    )
     assert alike.min() > 0.9
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        out = copy.deepcopy(model).train()(points)
     out.class_logits.float().logsumexp(dim=-1).sum().backward()
 
 
