@@ -263,8 +263,8 @@ def test_views_show_what_a_camera_in_the_room_would_see(scannet, things):
 
     The oracle works in the scan frame: a vertex is seen when the segment from the camera to just
     before it meets neither of the thing's two boxes (slab method). Hidden point removal is not ray
-    casting: nine in ten of its points are truly seen, and it keeps three in four of those that are; a
-    camera at the wrong place gives about half.
+    casting: nine in ten of its points are truly seen, and it keeps three in four of those that
+    are; a camera at the wrong place gives about half.
     """
     source = open_source(scannet)
     shape = source.load(source.objects("train")[0])
