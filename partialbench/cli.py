@@ -131,6 +131,12 @@ def render(
     scannet: Annotated[Path | None, typer.Option(help="ps15: folder of ScanNet scans")] = None,
     scan2cad: Annotated[Path | None, typer.Option(help="ps15: full_annotations.json")] = None,
     rooms: Annotated[int | None, typer.Option(help="ps15: how many rooms to simulate")] = None,
+    viewpoints: Annotated[
+        str | None, typer.Option(help="ps15: standing (a person with a camera) or uniform")
+    ] = None,
+    split_file: Annotated[
+        Path | None, typer.Option(help='ps15: JSON {"train": [scene, …], "test": […]}')
+    ] = None,
     split: Annotated[
         list[str] | None, typer.Option(help="only this split (repeat for more); default: all")
     ] = None,
@@ -151,15 +157,18 @@ def render(
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
     from partialbench.dataset.card import paper_rows
     from partialbench.dataset.render import plan_render
+    from partialbench.progress import counting_bar
 
     workers = workers or os.cpu_count() or 1
+    listed = counting_bar(stderr, "simulate rooms")
     plan = plan_render(
         data_set.value,
         out,
         source=source,
         source_options=_given(
             aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
-            scannet=scannet, scan2cad=scan2cad, rooms=rooms,
+            scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
+            split_file=split_file,
         ),
         occluder_options=_given(
             resolution=resolution, camera=camera and arguments.camera(camera), variant=variant,
@@ -167,6 +176,7 @@ def render(
         ),
         sensor=sensor,
         workers=workers,
+        on_room=listed,
         setting=setting.value,
         views=views,
         splits=tuple(split) if split else None,

@@ -18,6 +18,23 @@ from rich.progress import (
 from partialbench.dataset.build import Progress as BuildProgress
 
 
+def counting_bar(console: Console, what: str) -> Callable[[int, int], None]:
+    """A bar that shows itself when first told (done, total) and leaves when all is done."""
+    bar = Progress(
+        TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("left"), TimeRemainingColumn(), console=console,
+    )  # fmt: skip
+    task = bar.add_task(what, total=None)
+
+    def update(done: int, total: int) -> None:
+        bar.start()
+        bar.update(task, completed=done, total=total)
+        if done >= total:
+            bar.stop()
+
+    return update
+
+
 @contextlib.contextmanager
 def build_bar(console: Console) -> Iterator[Callable[[BuildProgress], None]]:
     """A bar over objects with views per second and time left; yields what ``build`` calls."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ def plan_render(
     seed: int = 0,
     sensor: str | None = None,
     workers: int = 1,
+    on_room: Callable[[int, int], None] | None = None,
     rows_per_shard: int = 1000,
 ) -> BuildPlan:
     """The plan of one data folder.
@@ -44,6 +46,7 @@ def plan_render(
         occluder_options: passed to the occluder (``resolution``, ``variant``, ``radius``, …).
         sensor: depth noise, of the rendered images or, for simulated rooms, of the scanner.
         workers: processes for sources that generate or list in parallel.
+        on_room: called with (rooms simulated, rooms in all).
         views: viewpoints per training object; test objects get one (PS15: the same number).
         splits: default: all the source has.
         objects_per_class: at most so many of each class in each split.
@@ -63,7 +66,8 @@ def plan_render(
     if source == "parametric":
         given["seed"] = seed
     elif source == "rooms":
-        given |= {"seed": seed, "workers": workers, **({"sensor": sensor} if sensor else {})}
+        given |= {"seed": seed, "workers": workers, "on_progress": on_room}
+        given |= {"sensor": sensor} if sensor else {}
     elif source == "scannet":
         given["workers"] = workers
     shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **given)
