@@ -4,6 +4,27 @@ from __future__ import annotations
 
 from partialbench.registry import ModelCard, Recipe
 
+_POINTS = "pc (1024×3)"
+
+_STEERED_RECIPE = Recipe(
+    optimizer="adamw",
+    lr=3e-3,
+    weight_decay=0.01,
+    batch_size=32,
+    epochs=60,
+    schedule="one-cycle",
+    notes="This project's own. No augmentation but the protocol's.",
+)
+
+_STEERED_ENCODER = (
+    "invariant features of each point: two layers over its 16 nearest neighbours and one over what "
+    "they give, on distances, cosines and local steerable moments; no coordinate enters a weight",
+    "no rank decides anything: neighbours fade out before the one that ends a neighbourhood, so "
+    "that rounding cannot undo the equivariance",
+    "the wider neighbourhood, a quarter of the points, is seen through moments of harmonics and "
+    "three shells of the distance",
+)
+
 CARDS: tuple[ModelCard, ...] = (
     ModelCard(
         name="papnet",
@@ -41,6 +62,40 @@ CARDS: tuple[ModelCard, ...] = (
             "symmetry takes the nearest of the whole group; the release's sequence of X-, Y- and "
             "Z-180 misses it for 8.5 % of rotations",
             "a coordinate of exactly +1 cannot leave the grid",
+        ),
+    ),
+    ModelCard(
+        name="papnet-steered",
+        entry="papnet.steered.model:PAPNetSteered",
+        title="PAPNet, steered",
+        paper="This project's own; the idea is Xu et al.'s, arXiv:2012.10042v2",
+        representation=_POINTS,
+        invariances=frozenset({"permutation"}),
+        parameters={40: 988_088, 15: 978_463},
+        recipe=_STEERED_RECIPE,
+        choices=(
+            *_STEERED_ENCODER,
+            "the descriptor: 96 channels of every degree up to 3, point features pooled against "
+            "harmonics of the direction from the centroid and against the local moments",
+            "one hidden layer of 384 reads the descriptor turned to each of the 60 bins and scores "
+            "(pose, class) jointly; the class is the sum over poses, the pose the sum over classes",
+            "loss: CE of the class + 0.3 · CE of the joint with the paper's soft bins under the "
+            "symmetry map",
+        ),
+    ),
+    ModelCard(
+        name="papnet-steered-nopose",
+        entry="papnet.steered.model:PAPNetSteeredNoPose",
+        title="PAPNet, steered, without pose",
+        paper="This project's own: the pose-free twin of papnet-steered",
+        representation=_POINTS,
+        invariances=frozenset({"permutation", "rotation"}),
+        parameters={40: 989_386, 15: 979_761},
+        recipe=_STEERED_RECIPE,
+        choices=(
+            *_STEERED_ENCODER,
+            "the encoder and descriptor of papnet-steered; the norms of its channels, which no "
+            "rotation changes, go through two hidden layers of as many parameters as its head",
         ),
     ),
 )

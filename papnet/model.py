@@ -16,6 +16,7 @@ from torch.nn.functional import cross_entropy
 
 from baselines.points import normalise
 from papnet import pose
+from papnet.ensemble import classify_under_bins
 from papnet.parts import GRID, Backbone, ClassHead, PoseHead
 from papnet.rotate_field import rotate_field
 from partialbench.benchmark.prediction import Batch, Prediction
@@ -67,8 +68,8 @@ class Candidates(NamedTuple):
     bins: Tensor
 
 
-# Rotated feature volumes held at a time in evaluation, in bytes.
-_CANDIDATE_BYTES = 64 << 20
+# Turned clouds that go through a backbone at a time.
+_CANDIDATES_AT_ONCE = 16
 
 
 class PAPNet(nn.Module):
@@ -147,7 +148,12 @@ class PAPNet(nn.Module):
 
         Args:
             points: (B,N,3).
+
+        Raises:
+            InputError: in training mode, or for a variant without a pose branch.
         """
+        if self.training:
+            raise InputError("candidates are the trained model's answers: call eval() first")
         points = normalise(points)
         features = self.backbone(points, self.grid)
         pose_logits, _ = self._pose(features)
@@ -210,13 +216,18 @@ class PAPNet(nn.Module):
         return self.class_head(turned)
 
     def _over_bins(self, points: Tensor, features: Tensor, ranked: Tensor) -> Tensor:
-        """Class logits (B,k,K) under the bins (B,k), several candidates at a time."""
+        """Class logits (B,k,K) under the bins (B,k)."""
+        if self.variant.transform == "features":
+            return classify_under_bins(self.class_head, features, ranked)
         B, k = ranked.shape
         sample = torch.arange(B, device=ranked.device).repeat_interleave(k)
         rotation = pose.bins(features.float())[ranked.flatten()]
-        at_once = max(1, _CANDIDATE_BYTES // (features[0].numel() * features.element_size()))
         logits = [
             self._classify(points[s], features[s], R)
-            for s, R in zip(sample.split(at_once), rotation.split(at_once), strict=True)
+            for s, R in zip(
+                sample.split(_CANDIDATES_AT_ONCE),
+                rotation.split(_CANDIDATES_AT_ONCE),
+                strict=True,
+            )
         ]
         return torch.cat(logits).view(B, k, -1)

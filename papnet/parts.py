@@ -104,8 +104,11 @@ class ClassHead(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """(B,256,X,X,X) → (B,K)."""
-        x = pool(self.conv0(features))
-        return self.fc(self.conv2(self.conv1(x)).mean((2, 3, 4)))
+        return self.fc(self.describe(pool(self.conv0(features))))
+
+    def describe(self, pooled: Tensor) -> Tensor:
+        """(B,256,Y,Y,Y) pooled output of ``conv0`` → the mean scalars and vectors, (B,512)."""
+        return self.conv2(self.conv1(pooled)).mean((2, 3, 4))
 
 
 def mlp(*widths: int) -> nn.Sequential:

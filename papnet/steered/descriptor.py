@@ -1,0 +1,94 @@
+"""A cloud as one steerable descriptor: point features pooled against steerable fields."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from baselines.points import full_precision, normalise
+from papnet.steered.encoder import Encoder
+from papnet.steered.geometry import SHELLS, geometry
+from partialbench.errors import InputError
+
+
+class Descriptor(NamedTuple):
+    """What is known of a cloud.
+
+    Attributes:
+        steerable: {l: (B,C,2l+1)}, turned by D^l(R) when the cloud is turned by R; e3nn's basis.
+        invariant: (B,W), untouched by it.
+    """
+
+    steerable: dict[int, Tensor]
+    invariant: Tensor
+
+
+class DegreeNorm(nn.Module):
+    """Batch norm of steerable channels: only degree 0 has a mean, a scale is one a channel."""
+
+    def __init__(self, channels: int, degree: int, momentum: float = 0.1) -> None:
+        super().__init__()
+        self.degree, self.momentum, self.eps = degree, momentum, 1e-5
+        self.mean: Tensor
+        self.square: Tensor
+        self.register_buffer("mean", torch.zeros(channels))
+        self.register_buffer("square", torch.ones(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B,C,2l+1)."""
+        mean, square = self.mean, self.square
+        if self.training:
+            mean = x.mean((0, 2)) if self.degree == 0 else torch.zeros_like(mean)
+            square = (x - mean[:, None]).square().mean((0, 2))
+            with torch.no_grad():
+                self.mean.lerp_(mean.to(self.mean.dtype), self.momentum)
+                self.square.lerp_(square.to(self.square.dtype), self.momentum)
+        return (x - mean[:, None]) * torch.rsqrt(square + self.eps)[:, None]
+
+
+class Describe(nn.Module):
+    """Clouds → their descriptors, exactly equivariant: no grid, no sampling of directions.
+
+    Args:
+        lmax: highest degree.
+        channels: C, of every degree.
+        width: W, of the point features.
+        k: nearest neighbours.
+    """
+
+    def __init__(self, lmax: int, channels: int, width: int, k: int) -> None:
+        super().__init__()
+        self.lmax, self.k = lmax, k
+        self.encoder = Encoder(lmax, width)
+        # No bias: none is equivariant above degree 0, and the norm cancels it there.
+        self.mix = nn.ModuleList(
+            nn.Linear(2 * SHELLS * width, channels, bias=False) for _ in range(lmax + 1)
+        )
+        self.norm = nn.ModuleList(DegreeNorm(channels, degree) for degree in range(lmax + 1))
+
+    def forward(self, points: Tensor) -> Descriptor:
+        """(B,N,3) clouds of any position and scale, N > k.
+
+        Raises:
+            InputError: for clouds of another shape or of too few points.
+        """
+        points = normalise(points)
+        if points.shape[1] <= self.k:
+            raise InputError(
+                f"{self.k} neighbours need clouds of at least {self.k + 1} points, "
+                f"got {points.shape[1]}"
+            )
+        g = geometry(points, self.k, self.lmax)
+        features = self.encoder(g)
+        with torch.autocast(points.device.type, enabled=False):
+            features = full_precision(features)
+            # (B,2S,M,W): the mean over points of field times feature.
+            pooled = g.fields.flatten(2).mT @ features / points.shape[1]
+            pooled = pooled.unflatten(1, g.fields.shape[2:])
+            steerable = {}
+            for degree, (mix, norm) in enumerate(zip(self.mix, self.norm, strict=True)):
+                part = pooled[:, :, degree**2 : (degree + 1) ** 2].transpose(1, 2).flatten(2)
+                steerable[degree] = norm(mix(part).mT)
+            return Descriptor(steerable, features.amax(1))

@@ -1,0 +1,169 @@
+"""What a cloud says without a weight: its neighbourhoods as steerable moments and as invariants.
+
+Everything is an exactly equivariant and *continuous* function of the points. Continuity is what
+makes the equivariance survive rounding: a rank (the k-th neighbour, every fourth neighbour) changes
+hands where two distances are equal, and the last bit would decide. Here a neighbour fades out
+before the rank that ends its neighbourhood is reached, and the wide neighbourhood is seen through
+shells of the distance instead of through chosen ranks.
+
+Fields are in e3nn's basis, degrees stacked: component l² + l + m of (l+1)² is degree l's m.
+Suffixes: B clouds, N points, k neighbours, S shells, M = (lmax+1)² components, F features.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from baselines.points import distances, gather
+from baselines.shared_mlp import chunks
+
+with warnings.catch_warnings():
+    # e3nn 0.5 reads its constants with torch.load's old default.
+    warnings.simplefilter("ignore", FutureWarning)
+    from e3nn import o3
+
+SHELLS = 3
+"""Radial functions of the wide neighbourhood, and of the distance from the centroid."""
+WIDE_SHARE = 4
+"""The wide neighbourhood holds one in this many of the cloud's points, whatever their number."""
+SHORT = 0.01
+"""Length in a cloud of radius 1 below which a direction fades out: it would be rounding or noise
+alone. Copies of one point are common where fewer points are visible than a cloud has."""
+
+_GLOBAL_CENTRES, _GLOBAL_WIDTH = (0.25, 0.55, 0.85), 0.2
+_WIDE_CENTRES, _WIDE_WIDTH = (0.0, 0.4, 0.8), 0.25
+
+
+class Geometry(NamedTuple):
+    """The fixed part of the encoder, without gradient.
+
+    Attributes:
+        neighbours: (B,N,k) int64, the nearest, the point itself included.
+        penalty: (B,N,k) ≥ 0, 0 for near neighbours, without bound towards the rank that ends them.
+        point_features: (B,N,F) invariants of each point.
+        edge_features: (B,N,k,F) invariants of each point and its neighbour.
+        fields: (B,N,2S,M) steerable: harmonics of the direction from the centroid times shells of
+            the radius, then moments of the wide neighbourhood.
+    """
+
+    neighbours: Tensor
+    penalty: Tensor
+    point_features: Tensor
+    edge_features: Tensor
+    fields: Tensor
+
+
+def harmonics(vectors: Tensor, lmax: int) -> Tensor:
+    """(…,3) vectors v → (…,M): |v|^l·Y_l(v/|v|), Y_l of norm 1."""
+    degrees = list(range(lmax + 1))
+    return o3.spherical_harmonics(degrees, vectors, normalize=False, normalization="norm")
+
+
+def directions(vectors: Tensor) -> Tensor:
+    """(…,3) → (…,3) of norm below 1: v/√(|v|² + SHORT²)."""
+    return vectors * torch.rsqrt(vectors.square().sum(-1, keepdim=True) + SHORT**2)
+
+
+def shells(x: Tensor, centres: tuple[float, ...], width: float) -> Tensor:
+    """Gaussians of (…) values at ``centres``, (…,S)."""
+    return torch.exp(-0.5 * ((x[..., None] - x.new_tensor(centres)) / width).square())
+
+
+def per_degree(products: Tensor, lmax: int) -> Tensor:
+    """(…,M) → (…,lmax): the sums over the components of each degree above 0."""
+    return torch.stack(
+        [products[..., n * n : (n + 1) ** 2].sum(-1) for n in range(1, lmax + 1)], dim=-1
+    )
+
+
+def num_features(lmax: int) -> tuple[int, int]:
+    """(features of a point, features of an edge)."""
+    return 3 + SHELLS + 2 * SHELLS * lmax, 4 + 3 * SHELLS * lmax
+
+
+@torch.no_grad()
+def geometry(points: Tensor, k: int, lmax: int) -> Geometry:
+    """Neighbourhoods, moments and invariants of clouds.
+
+    Args:
+        points: (B,N,3) normalised, float32 or float64, N > k.
+        k: nearest neighbours that become edges.
+    """
+    with torch.autocast(points.device.type, enabled=False):
+        parts = [
+            _geometry(points[part], k, lmax)
+            for part in chunks(len(points), points.shape[1] ** 2 // WIDE_SHARE * (lmax + 1) ** 2)
+        ]
+        return Geometry(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
+
+
+def _geometry(points: Tensor, k: int, lmax: int) -> Geometry:
+    number = points.shape[1]
+    wide = min(max(number // WIDE_SHARE, k), number - 1)
+    near, index = distances(points, points).topk(wide + 1, largest=False)
+    # The distance of the first point left out ends a neighbourhood; it is continuous, as every
+    # order statistic is, though which point it belongs to is not.
+    end, narrow_end = near[..., wide], near[..., k]
+    offsets = gather(points, index[..., :wide]) - points[:, :, None]
+    Y = harmonics(directions(offsets), lmax)
+
+    u = near[..., :wide] / end.clamp_min(1e-6)[..., None]
+    window = (1 - u.square()).clamp_min(0).square()
+    radial = shells(u, _WIDE_CENTRES, _WIDE_WIDTH) * window[..., None]
+    moments = radial.mT @ Y / window.sum(-1).clamp_min(1e-6)[..., None, None]
+
+    radius = torch.linalg.vector_norm(points, dim=-1)
+    outward = harmonics(directions(points), lmax)
+    from_centre = shells(radius, _GLOBAL_CENTRES, _GLOBAL_WIDTH)[..., None] * outward[:, :, None]
+
+    neighbours = index[..., :k]
+    scaled = near[..., :k] / narrow_end.clamp_min(1e-6)[..., None]
+    # 0 up to half of the last distance, then up to 1e4 at all of it: never chosen there.
+    fade = (2 * (1 - scaled)).clamp(1e-4, 1)
+    return Geometry(
+        neighbours,
+        1 / fade - 1,
+        torch.cat(
+            [
+                torch.stack([radius, end, narrow_end], dim=-1),
+                moments[..., 0],
+                per_degree(moments.square(), lmax).sqrt().flatten(2),
+                per_degree(moments * outward[:, :, None], lmax).flatten(2),
+            ],
+            dim=-1,
+        ),
+        _edge_features(points, neighbours, near[..., :k], Y[:, :, :k], moments, outward, lmax),
+        torch.cat([from_centre, moments], dim=2),
+    )
+
+
+def _edge_features(
+    points: Tensor,
+    neighbours: Tensor,
+    distance: Tensor,
+    Y: Tensor,
+    moments: Tensor,
+    outward: Tensor,
+    lmax: int,
+) -> Tensor:
+    """(B,N,k,F): the distance, three cosines, and how moments at both ends lie to the edge."""
+    there = gather(moments.flatten(2), neighbours).view(*Y.shape[:3], *moments.shape[2:])
+    outward_there = gather(outward[..., 1:4], neighbours)
+    edge, here = Y[..., 1:4], outward[:, :, None, 1:4]
+    cosines = [(edge * here), (edge * outward_there), (here * outward_there)]
+    moments, edges = moments[:, :, None], Y[:, :, :, None]
+    return torch.cat(
+        [
+            distance[..., None],
+            *(product.sum(-1, keepdim=True) for product in cosines),
+            *(
+                per_degree(product, lmax).flatten(3)
+                for product in (moments * edges, there * edges, moments * there)
+            ),
+        ],
+        dim=-1,
+    )
