@@ -36,9 +36,7 @@ class JointHead(nn.Module):
         hidden: H.
     """
 
-    def __init__(
-        self, channels: int, width: int, lmax: int, hidden: int, num_classes: int
-    ) -> None:
+    def __init__(self, channels: int, width: int, lmax: int, hidden: int, num_classes: int) -> None:
         super().__init__()
         self.lmax = lmax
         fan_in = channels * (lmax + 1) ** 2
@@ -79,9 +77,7 @@ class JointHead(nn.Module):
 class InvariantHead(nn.Module):
     """The same descriptor without its pose: norms of its channels into a classifier."""
 
-    def __init__(
-        self, channels: int, width: int, lmax: int, hidden: int, num_classes: int
-    ) -> None:
+    def __init__(self, channels: int, width: int, lmax: int, hidden: int, num_classes: int) -> None:
         super().__init__()
         inputs = channels * (lmax + 1) + width
         # As many parameters as JointHead of the same hidden width has, but for rounding.
