@@ -32,6 +32,7 @@ class Clouds(Interface):
     rotations: NDArray[np.float64]
     visible_fraction: NDArray[np.float32]
     symmetries: NDArray[np.str_]
+    source_digests: NDArray[np.str_]
     class_names: tuple[str, ...]
     dataset_id: str
     setting: str

@@ -20,7 +20,7 @@ from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 FORMAT = "partialbench-checkpoint"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 IDENTITY = (
     "model", "variant", "options", "class_names", "num_points", "recipe", "protocol",

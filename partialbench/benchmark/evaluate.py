@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from torch import nn
+from torch import Tensor, nn
 
+from partialbench.benchmark import duplicates
 from partialbench.benchmark.batches import Clouds
-from partialbench.benchmark.models import as_prediction
+from partialbench.benchmark.models import as_prediction, candidates
 from partialbench.benchmark.prediction import Prediction
 from partialbench.benchmark.predictions import POSE_BINS_KEPT, Predictions
 from partialbench.errors import PartialbenchError
@@ -28,10 +29,11 @@ def run_model(
     num_classes: int,
     device: torch.device | str = "cpu",
     batch_size: int = 32,
-) -> Iterator[tuple[NDArray[np.int64], Prediction]]:
-    """The model's answers for ``rows``, batch by batch, in evaluation mode and full precision.
+) -> Iterator[tuple[NDArray[np.int64], Tensor, Prediction]]:
+    """Row numbers, clouds and the model's answers, batch by batch, in evaluation mode.
 
-    Clouds are the first points of the stored order: no randomness, no augmentation, no votes.
+    In full precision. Clouds are the first points of the stored order: no randomness, no
+    augmentation, no votes.
     """
     model.eval()
     for start in range(0, len(rows), batch_size):
@@ -40,7 +42,7 @@ def run_model(
         # Not around the yield: a generator must not leave its caller without gradients.
         with torch.inference_mode():
             output = model(points)
-        yield chosen, as_prediction(output, len(chosen), num_classes)
+        yield chosen, points, as_prediction(output, len(chosen), num_classes)
 
 
 def predict_rows(
@@ -50,19 +52,23 @@ def predict_rows(
     num_classes: int,
     device: torch.device | str = "cpu",
     batch_size: int = 32,
+    train_sources: Sequence[str] = (),
 ) -> Predictions:
     """Predictions for ``rows`` of a test split.
 
     Args:
         num_classes: of the model, which may have been trained on other classes than ``dataset``'s.
+        train_sources: ``duplicates.source_keys`` of the training data.
 
     Raises:
         NotFiniteError: an answer with NaN or infinity.
     """
     if len(rows) == 0:
         raise ValueError("there is nothing to evaluate: no rows")
-    predicted, logs, bins = [], [], []
-    for chosen, prediction in run_model(model, dataset, rows, num_classes, device, batch_size):
+    predicted, logs, bins, scores, classes = [], [], [], [], []
+    for chosen, points, prediction in run_model(
+        model, dataset, rows, num_classes, device, batch_size
+    ):
         logits = prediction.class_logits.double()
         if not bool(torch.isfinite(logits).all()):
             bad = int((~torch.isfinite(logits)).any(dim=1).sum())
@@ -75,20 +81,30 @@ def predict_rows(
         if prediction.pose_logits is not None:
             order = prediction.pose_logits.argsort(dim=1, descending=True, stable=True)
             bins.append(order[:, :POSE_BINS_KEPT].cpu())
+            under_poses = candidates(model, points, POSE_BINS_KEPT)
+            if under_poses is not None:
+                scores.append(under_poses[0].float().cpu())
+                classes.append(under_poses[1].cpu())
     # float16 ends at −65504; beyond that a probability is zero anyway.
     log_probabilities = torch.cat(logs).clamp(min=-60_000).numpy().astype(np.float16)
-    pose_bins = torch.cat(bins).numpy() if bins else np.zeros((len(rows), 0))
+    nothing = np.zeros((len(rows), 0))
+    pose_bins, logits_under_poses, classes_under_poses = (
+        torch.cat(found).numpy() if found else nothing for found in (bins, scores, classes)
+    )
     return Predictions(
         rows=rows.astype(np.int32),
         labels=dataset.labels[rows].astype(np.int16),
         predicted=torch.cat(predicted).numpy().astype(np.int16),
         log_probabilities=log_probabilities,
         pose_bins=pose_bins.astype(np.uint8),
+        candidate_logits=logits_under_poses.astype(np.float32),
+        candidate_classes=classes_under_poses.astype(np.int16),
         quaternions=Rotation.from_matrix(dataset.rotations[rows]).as_quat().astype(np.float32),
         symmetries=dataset.symmetries[rows],
         object_ids=dataset.object_ids[rows],
         views=dataset.views[rows].astype(np.int32),
         visible_fraction=dataset.visible_fraction[rows].astype(np.float32),
+        duplicate=duplicates.among(dataset.source_digests[rows], list(train_sources)),
     )
 
 
@@ -99,7 +115,7 @@ def quick_accuracy(
     if len(rows) == 0:
         return None
     hits = 0
-    for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
+    for chosen, _, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
         answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
         hits += int((answer == dataset.labels[chosen]).sum())
     return hits / len(rows)

@@ -114,6 +114,27 @@ def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
     }
 
 
+def ensemble_accuracy(logits: NDArray, classes: NDArray, labels: NDArray) -> list[float] | None:
+    """For k = 1, 2, …: accuracy when the k most confident poses decide by their highest logit.
+
+    Args:
+        logits, classes: (M,k) the highest class logit under each pose, best pose first, and its
+            class; (M,0) for a model that has none, which gives None.
+        labels: (M,).
+
+    Source: Xu et al., "Ensemble strategy", as TerenceHsu666/PAPNet@878adcc does it: raw logits are
+    compared, and of equal ones the more confident pose decides.
+    """
+    if logits.shape[1] == 0:
+        return None
+    hits = []
+    for k in range(1, logits.shape[1] + 1):
+        decides = logits[:, :k].argmax(axis=1)
+        answer = np.take_along_axis(classes, decides[:, None], axis=1)[:, 0]
+        hits.append(accuracy(labels, answer))
+    return hits
+
+
 def by_visibility(
     correct: NDArray, visible_fraction: NDArray, edges: Sequence[float] = VISIBILITY_EDGES
 ) -> list[dict[str, Any]]:
@@ -159,7 +180,9 @@ def scores(
     Where the test data have other classes than the model (trained on another data set), only
     clouds of shared classes count, and classes are matched by name. Then ``accuracy`` leaves the
     model all its outputs, as the PAPNet release does; ``restricted_accuracy`` lets it answer only
-    with a shared class. With equal classes the two are the same.
+    with a shared class. With equal classes the two are the same. The scores "without duplicates"
+    leave out the clouds of objects that a training object was made of as well; None where none
+    remains. ``ensemble`` is ``ensemble_accuracy``.
     """
     names = list(model_classes)
     p, label = shared_clouds(predictions, names, test_classes)
@@ -171,6 +194,8 @@ def scores(
     # Where nothing is excluded, keep the model's own argmax: rounding may have made ties.
     restricted = np.where(shared[predicted], predicted, restricted)
     per_class = per_class_accuracy(label, predicted, len(names))
+    own = ~p.duplicate
+    alone = (label[own], predicted[own])
     return {
         "clouds": len(p),
         "objects": len(np.unique(p.object_ids)),
@@ -178,10 +203,16 @@ def scores(
         "class_accuracy": class_accuracy(label, predicted, len(names)),
         "restricted_accuracy": accuracy(label, restricted),
         "restricted_class_accuracy": class_accuracy(label, restricted, len(names)),
+        "duplicates": int(p.duplicate.sum()),
+        "accuracy_without_duplicates": accuracy(*alone) if own.any() else None,
+        "class_accuracy_without_duplicates": (
+            class_accuracy(*alone, len(names)) if own.any() else None
+        ),
         "per_class": dict(zip(names, per_class, strict=True)),
         "calibration_error": calibration_error(confidence.clip(max=1), predicted == label),
         "visibility": by_visibility(predicted == label, p.visible_fraction),
         "pose": pose_scores(p),
+        "ensemble": ensemble_accuracy(p.candidate_logits, p.candidate_classes, label),
     }
 
 

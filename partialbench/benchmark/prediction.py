@@ -14,7 +14,8 @@ class Prediction(NamedTuple):
         class_logits: (B,K) float.
         pose_logits: (B,60) float over the rotation bins (``geometry.bins``), or None.
         penalty: scalar the model adds to its own training loss (PointNet's orthogonality term),
-            already weighted, or None.
+            already weighted, or None. A sum over the clouds of the batch: with several processes
+            the harness adds up their shares' penalties, where it averages all other losses.
     """
 
     class_logits: Tensor

@@ -32,9 +32,13 @@ class Predictions:
         predicted: (M,) int16 most probable class, index into the *model's* class names.
         log_probabilities: (M,K) float16 over the model's classes, natural logarithm.
         pose_bins: (M,20) uint8 best first, or (M,0) for a model without pose.
+        candidate_logits, candidate_classes: (M,20) float32 and int16, for a model that decides over
+            several poses: the highest class logit under each of ``pose_bins`` and its class; (M,0)
+            for others.
         quaternions: (M,4) float32 R_camera_object as x, y, z, w; see ``rotations``.
         symmetries: (M,) str group names.
         object_ids: (M,) str. views: (M,) int32. visible_fraction: (M,) float32.
+        duplicate: (M,) bool, whether some training object was made from the same bytes.
     """
 
     rows: NDArray[np.int32]
@@ -42,11 +46,14 @@ class Predictions:
     predicted: NDArray[np.int16]
     log_probabilities: NDArray[np.float16]
     pose_bins: NDArray[np.uint8]
+    candidate_logits: NDArray[np.float32]
+    candidate_classes: NDArray[np.int16]
     quaternions: NDArray[np.float32]
     symmetries: NDArray[np.str_]
     object_ids: NDArray[np.str_]
     views: NDArray[np.int32]
     visible_fraction: NDArray[np.float32]
+    duplicate: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.labels)

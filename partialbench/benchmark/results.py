@@ -19,7 +19,7 @@ from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 FORMAT = "partialbench-result"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 SUFFIX = ".result.json"
 
 
@@ -66,6 +66,7 @@ class Result:
     Attributes:
         model: registered name or "module:factory".
         variant: what the user changed about the model or its recipe ("lr=0.01"), "" for nothing.
+        options: what its factory was given.
         card: snapshot of the model card. recipe: as used. deviations: from the published recipe.
         protocol, protocol_digest: what the run shares with the others of its column.
         train_data, test_data: see ``DataRecord``.
@@ -79,6 +80,7 @@ class Result:
 
     model: str
     variant: str
+    options: dict[str, Any]
     card: dict[str, Any]
     recipe: dict[str, Any]
     deviations: list[str]

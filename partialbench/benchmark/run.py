@@ -175,11 +175,13 @@ def _test(
     recipe, train_data = content["recipe"], DataRecord(**content["train_data"])
     rows = balanced_subset(np.arange(len(test_set)), test_set.labels, protocol.max_test_clouds)
     predictions = evaluate.predict_rows(
-        model, test_set, rows, len(train_data.class_names), fabric.device
-    )
+        model, test_set, rows, len(train_data.class_names), fabric.device,
+        train_sources=content["train_sources"],
+    )  # fmt: skip
     result = Result(
         model=card.name,
         variant=content["variant"],
+        options=dict(content["options"]),
         card=_card_as_dict(card),
         recipe=recipe,
         deviations=recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),

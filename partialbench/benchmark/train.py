@@ -27,7 +27,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from partialbench.benchmark import audit, checkpoint, environment, evaluate, models
+from partialbench.benchmark import audit, checkpoint, duplicates, environment, evaluate, models
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import BatchStream, Clouds, Place
 from partialbench.benchmark.prediction import Batch, Prediction
@@ -110,12 +110,17 @@ class WithLoss(nn.Module):
     """A model and its training loss as one forward pass, which is what data parallelism wraps.
 
     The loss is the model's own ``training_loss(batch)`` where it has one; else cross entropy with
-    the recipe's label smoothing plus the prediction's penalty.
+    the recipe's label smoothing plus the prediction's penalty. Both losses are means over the
+    batch; the penalty is a sum over it, and so counts ``processes`` times here: data parallelism
+    averages the gradients of the processes' shares, which would divide the sum.
     """
 
-    def __init__(self, model: nn.Module, label_smoothing: float, num_classes: int) -> None:
+    def __init__(
+        self, model: nn.Module, label_smoothing: float, num_classes: int, processes: int = 1
+    ) -> None:
         super().__init__()
         self.model, self.label_smoothing, self.num_classes = model, label_smoothing, num_classes
+        self.processes = processes
 
     def forward(self, batch: Batch) -> Tensor:
         """A scalar."""
@@ -128,7 +133,9 @@ class WithLoss(nn.Module):
         loss = cross_entropy(
             prediction.class_logits, batch.label, label_smoothing=self.label_smoothing
         )
-        return loss if prediction.penalty is None else loss + prediction.penalty
+        if prediction.penalty is None:
+            return loss
+        return loss + self.processes * prediction.penalty
 
 
 def train(
@@ -158,7 +165,7 @@ def train(
     # The model, its optimiser and schedule, and the batches: all from the seed and the recipe.
     torch.manual_seed(step_seed(task.seed, "init"))
     bare = models.create(task.model, num_classes, task.options)
-    wrapped = WithLoss(bare, task.recipe.label_smoothing, num_classes)
+    wrapped = WithLoss(bare, task.recipe.label_smoothing, num_classes, fabric.world_size)
     if fabric.world_size > 1 and fabric.device.type == "cuda":
         wrapped = nn.SyncBatchNorm.convert_sync_batchnorm(wrapped)
     network, optimizer = fabric.setup(wrapped, recipes.make_optimizer(wrapped, task.recipe))
@@ -170,6 +177,7 @@ def train(
     epochs = task.protocol.num_epochs(task.recipe, len(task.train_rows))
     schedule = Schedule(task.recipe, epochs)
     total_steps = epochs * len(stream)
+    train_sources = duplicates.source_keys(task.dataset.source_digests)
 
     # Where it stands: the next batch to take, and the running sums of the epoch under way.
     epoch, batch_index, loss_sum, seconds = 0, 0, 0.0, 0.0
@@ -210,7 +218,7 @@ def train(
         state: dict[str, Any] = {
             "state": {name: tensor.detach().cpu() for name, tensor in bare.state_dict().items()},
             "epoch": epoch, "batch": batch_index, "loss_sum": loss_sum, "history": history,
-            "seconds": seconds + time.perf_counter() - started,
+            "seconds": seconds + time.perf_counter() - started, "train_sources": train_sources,
         }  # fmt: skip
         if epoch < epochs:
             state |= {"optimizer": optimizer.state_dict(), "schedule": schedule.state_dict()}

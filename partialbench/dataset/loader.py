@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +21,7 @@ _SMALL = (
     "label", "object_id", "view", "R_camera_object", "t_camera_object", "visible_fraction",
     "n_visible", "symmetry",
 )  # fmt: skip
+_SOURCE = "source_sha256"
 
 
 class ShardDataset:
@@ -37,6 +39,7 @@ class ShardDataset:
         rotations: (M,3,3) float64 R_camera_object. translations: (M,3) float64 t_camera_object.
         visible_fraction: (M,) float32. n_visible: (M,) int32.
         symmetries: (M,) str array of group names.
+        source_digests: (M,) SHA-256 (hex) of what each row's object was made from, "" if not known.
         class_names: label → name. dataset_id, setting, digest: from the manifest; the digest is of
             this split's content and does not depend on the shard size.
         manifest: the whole ``Manifest``.
@@ -78,6 +81,7 @@ class ShardDataset:
         self.translations = columns["t_camera_object"]
         self.visible_fraction = columns["visible_fraction"]
         self.n_visible = columns["n_visible"]
+        self.source_digests = np.char.decode(columns[_SOURCE], "ascii")
         self._stored_points = stored
         self._maps: list[np.memmap | None] = [None] * len(self._layout)
 
@@ -129,7 +133,7 @@ def _read_small_and_layout(
     folder: Path, entries: list[manifests.ShardEntry]
 ) -> tuple[dict[str, NDArray], list[tuple[Path, int, int]]]:
     """Every small column joined over shards, and (path, byte offset of points, rows) of each."""
-    parts: dict[str, list[NDArray]] = {name: [] for name in _SMALL}
+    parts: dict[str, list[NDArray]] = {name: [] for name in (*_SMALL, _SOURCE)}
     layout = []
     for entry in entries:
         if entry.rows == 0:
@@ -145,6 +149,7 @@ def _read_small_and_layout(
         with open_shard(path) as file:
             for name in _SMALL:
                 parts[name].append(file[name][()])
+            parts[_SOURCE].append(_source_of_rows(file, parts["object_id"][-1]))
             offset = file["points"].id.get_offset()
             if offset is None:
                 raise InputError(f"{path}: points are not stored contiguously; made by a hand?")
@@ -152,3 +157,10 @@ def _read_small_and_layout(
     if not layout:
         raise InputError(f"{folder}: the split has no rows; see its failures.jsonl")
     return {name: np.concatenate(values) for name, values in parts.items()}, layout
+
+
+def _source_of_rows(file: h5py.File, object_ids: NDArray) -> NDArray:
+    """The source digest of each row's object, from the shard's table of objects."""
+    objects = file["objects"]
+    known = dict(zip(objects["object_id"][()], objects[_SOURCE][()], strict=True))
+    return np.array([known.get(name, b"") for name in object_ids], "S64")

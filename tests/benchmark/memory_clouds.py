@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,10 @@ def solid(name: str, points: int, rng: np.random.Generator) -> np.ndarray:
     return cloud / np.linalg.norm(cloud, axis=1).max()
 
 
+def hash_of(name: str) -> str:
+    return hashlib.sha256(name.encode()).hexdigest()
+
+
 class MemoryClouds:
     """What ``ShardDataset`` is to the harness, without files."""
 
@@ -44,6 +49,7 @@ class MemoryClouds:
         self.views = np.array([v for _, _, v in rows], np.int32)
         self.rotations = haar_rotations(rng, len(rows))
         self.visible_fraction = rng.uniform(0.2, 0.6, len(rows)).astype(np.float32)
+        self.source_digests = np.array([hash_of(name) for name in self.object_ids])
         self.symmetries = np.array([CLASS_SYMMETRY.get(classes[c], "none") for c, _, _ in rows])
         canonical = np.stack([solid(classes[c], 2 * num_points, rng) for c, _, _ in rows])
         self.clouds = (canonical @ self.rotations.swapaxes(1, 2) + (0, 0, 3)).astype(np.float32)
@@ -83,7 +89,7 @@ class SolidSource:
         return solid(self.class_names[ref.label], 300, rng)
 
     def digest(self, ref):
-        return "0" * 64
+        return hash_of(ref.location)
 
     def describe(self):
         return {"name": "solids", "count": self.count}

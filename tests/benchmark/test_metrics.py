@@ -101,7 +101,8 @@ def test_a_label_outside_the_classes_is_an_error():
         metrics.confusion(np.array([0, 1]), np.array([0, 3]), 3)
 
 
-def make(labels, logits, pose_bins=None, rotations=None, symmetries=None, visible=None):
+def make(labels, logits, pose_bins=None, rotations=None, symmetries=None, visible=None,
+         under_poses=None, duplicate=None):  # fmt: skip
     labels = np.asarray(labels, np.int16)
     m = len(labels)
     logs = torch.as_tensor(np.asarray(logits, float)).log_softmax(1).numpy()
@@ -111,6 +112,9 @@ def make(labels, logits, pose_bins=None, rotations=None, symmetries=None, visibl
         pose_bins=np.zeros((m, 0), np.uint8) if pose_bins is None else pose_bins,
         quaternions=Rotation.from_matrix(np.tile(np.eye(3), (m, 1, 1)) if rotations is None
                                          else rotations).as_quat().astype(np.float32),
+        candidate_logits=np.zeros((m, 0), np.float32) if under_poses is None else under_poses[0],
+        candidate_classes=np.zeros((m, 0), np.int16) if under_poses is None else under_poses[1],
+        duplicate=np.zeros(m, bool) if duplicate is None else np.asarray(duplicate),
         symmetries=np.full(m, "none") if symmetries is None else np.asarray(symmetries),
         object_ids=np.array([f"o{i // 2}" for i in range(m)]), views=np.zeros(m, np.int32),
         visible_fraction=np.full(m, 0.3, np.float32) if visible is None else visible,
@@ -138,6 +142,32 @@ def test_equal_classes_make_restriction_idle(rng):
     scores = metrics.scores(p, list("abcde"), list("abcde"))
     assert scores["accuracy"] == scores["restricted_accuracy"]
     assert scores["accuracy"] == metrics.accuracy(p.labels, p.predicted)
+
+
+def test_the_loudest_of_the_first_k_poses_decides():
+    logits = np.array([[1, 3, 2], [5, 4, 5], [0, 1, 9]], np.float32)
+    classes = np.array([[0, 1, 0], [1, 0, 0], [2, 0, 1]], np.int16)
+    # k = 1 says 0, 1, 2; k = 2 says 1, 1, 0; k = 3 says 1, 1 (the first of equals), 1.
+    assert metrics.ensemble_accuracy(logits, classes, np.array([0, 1, 1])) == pytest.approx(
+        [2 / 3, 1 / 3, 2 / 3]
+    )
+    assert metrics.ensemble_accuracy(logits[:, :0], classes[:, :0], np.zeros(3, int)) is None
+    p = make([0, 1, 1], np.eye(3), under_poses=(logits, classes))
+    # By name: the model's classes stand in another order than the data's.
+    scores = metrics.scores(p, ["b", "a", "c"], ["a", "b", "c"])
+    assert scores["ensemble"] == pytest.approx([0, 2 / 3, 1 / 3])
+
+
+def test_duplicates_are_left_out_of_one_score():
+    logits = [[9, 0], [9, 0], [9, 0], [0, 9]]
+    p = make([0, 0, 1, 1], logits, duplicate=[True, False, False, False])
+    scores = metrics.scores(p, ["a", "b"], ["a", "b"])
+    assert scores["accuracy"] == 0.75
+    assert scores["duplicates"] == 1
+    assert scores["accuracy_without_duplicates"] == pytest.approx(2 / 3)
+    assert scores["class_accuracy_without_duplicates"] == pytest.approx(3 / 4)
+    scores = metrics.scores(make([0], [[9, 0]], duplicate=[True]), ["a", "b"], ["a", "b"])
+    assert scores["accuracy_without_duplicates"] is None
 
 
 def test_accuracy_by_visibility_puts_each_cloud_in_one_bin():

@@ -16,13 +16,14 @@ import torch
 import trimesh
 from PIL import Image
 
+from partialbench import registry
 from partialbench.benchmark import audit, evaluate, metrics, results
 from partialbench.benchmark.predict import draw, predict, read_points
 from partialbench.benchmark.run import run_eval
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 from tests.benchmark.memory_clouds import MemoryClouds, data_folder
-from tests.benchmark.tiny_models import Bare
+from tests.benchmark.tiny_models import Bare, Posed
 
 MODELS = "tests.benchmark.tiny_models"
 ROOT = Path(__file__).resolve().parents[2]
@@ -184,8 +185,8 @@ def test_a_record_edited_by_hand_is_refused(done, tmp_path):
         (lambda p: p.write_text("{"), "not a readable JSON"),
         (lambda p: p.write_text("[]"), "not a result record"),
         (lambda p: p.write_text('{"format": "partialbench-result", "format_version": 9}'),
-         "format 9, this version reads 1"),
-        (lambda p: p.write_text('{"format": "partialbench-result", "format_version": 1}'),
+         "format 9, this version reads 2"),
+        (lambda p: p.write_text('{"format": "partialbench-result", "format_version": 2}'),
          "missing fields .'card'"),
     ],
 )  # fmt: skip
@@ -228,6 +229,45 @@ def test_predictions_do_not_depend_on_the_batch_size():
     assert np.allclose(a.log_probabilities, b.log_probabilities, atol=2e-3)
     assert np.allclose(a.rotations, clouds.rotations[rows], atol=1e-6)
     assert np.allclose(np.exp(a.log_probabilities.astype(float)).sum(1), 1, atol=2e-3)
+
+
+@pytest.mark.parametrize("variant", ["ground-truth", "predicted", "without-pose"])
+def test_what_is_stored_gives_the_score_of_every_ensemble(variant):
+    """Against PAPNet itself, made anew with each k."""
+    clouds, rows = MemoryClouds(objects=4, views=1), np.arange(12)
+
+    def papnet(k):
+        torch.manual_seed(0)
+        model = registry.create("papnet", 3, variant=variant, k=k, grid=16)
+        with torch.no_grad():  # fresh weights name one class, whatever the pose
+            for parameter in model.class_head.parameters():
+                parameter.mul_(3)
+        return model
+
+    stored = evaluate.predict_rows(papnet(20), clouds, rows, 3)
+    labels = stored.labels.astype(int)
+    by_k = metrics.ensemble_accuracy(stored.candidate_logits, stored.candidate_classes, labels)
+    if variant == "without-pose":
+        assert by_k is None
+        return
+    assert stored.candidate_logits.shape == (12, 20)
+    loudest = stored.candidate_logits[:, :7].argmax(1)
+    answer = np.take_along_axis(stored.candidate_classes, loudest[:, None], 1)[:, 0]
+    if variant == "ground-truth":
+        again = evaluate.predict_rows(papnet(7), clouds, rows, 3)
+        assert np.array_equal(again.predicted, answer)
+        assert by_k[19] == metrics.accuracy(labels, stored.predicted)
+    else:  # which decides by the first pose alone, and could do better without another training
+        assert np.array_equal(stored.predicted, stored.candidate_classes[:, 0])
+
+
+def test_candidates_of_another_shape_are_refused():
+    class Wrong(Posed):
+        def candidates(self, points, k):
+            return torch.zeros(len(points), k), torch.zeros(len(points), k - 1)
+
+    with pytest.raises(InputError, match=r"\(8, 20\) and \(8, 19\), expected \(8, 20\) for 8"):
+        evaluate.predict_rows(Wrong(3), MemoryClouds(), np.arange(8), 3)
 
 
 def test_a_model_that_answers_nan_is_refused():

@@ -17,13 +17,14 @@ import torch
 from lightning.fabric import Fabric
 
 from partialbench.benchmark import checkpoint
+from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol import Protocol
 from partialbench.benchmark.run import make_task
-from partialbench.benchmark.train import DivergedError, train
+from partialbench.benchmark.train import DivergedError, WithLoss, train
 from partialbench.errors import ConfigurationMismatchError, InputError
 from partialbench.registry import Recipe
 from tests.benchmark.memory_clouds import MemoryClouds
-from tests.benchmark.tiny_models import Interrupted
+from tests.benchmark.tiny_models import Interrupted, Penalised
 
 MODELS = "tests.benchmark.tiny_models"
 PROTOCOL = Protocol("test", num_points=64, epochs=3)
@@ -212,12 +213,26 @@ def test_training_killed_three_times_ends_with_the_same_weights(tmp_path):
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
 
 
+def test_shares_of_a_batch_average_to_the_loss_of_the_whole():
+    """What data parallelism does to a loss that is a mean and a penalty that is a sum."""
+    torch.manual_seed(0)
+    clouds, label = torch.randn(8, 20, 3), torch.arange(8) % 3
+    turn = torch.eye(3).expand(8, 3, 3)
+    model = Penalised(3)
+    whole = WithLoss(model, 0.1, 3)(Batch(clouds, label, turn, turn))
+    assert model(clouds).penalty > 0.1 * whole
+    share = WithLoss(model, 0.1, 3, processes=2)
+    halves = [share(Batch(clouds[i::2], label[i::2], turn[i::2], turn[i::2])) for i in (0, 1)]
+    assert torch.allclose(sum(halves) / 2, whole)
+
+
 @pytest.mark.slow
-def test_two_processes_train_the_same_model_as_one(tmp_path):
+@pytest.mark.parametrize("model", ["NoNorm", "Penalised"])
+def test_two_processes_train_the_same_model_as_one(tmp_path, model):
     """gloo: the shares of a batch average to the whole batch's gradient, to rounding."""
     root = Path(__file__).resolve().parents[2]
     script = tmp_path / "job.py"
-    script.write_text(TWO_PROCESSES)
+    script.write_text(TWO_PROCESSES.replace("MODEL", model))
     environment = {**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
     single = [sys.executable, str(script), str(tmp_path / "one")]
     double = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2",
@@ -239,7 +254,7 @@ from partialbench.benchmark.run import make_fabric, make_task
 from partialbench.benchmark.train import train
 from tests.benchmark import test_train
 fabric = make_fabric("cpu", "32-true")
-task = make_task("tests.benchmark.tiny_models:NoNorm", test_train.MemoryClouds(),
+task = make_task("tests.benchmark.tiny_models:MODEL", test_train.MemoryClouds(),
                  test_train.PROTOCOL, test_train.RECIPE, 0, {})
 train(task, fabric, Path(sys.argv[1]))
 """

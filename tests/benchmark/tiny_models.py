@@ -65,6 +65,14 @@ class NoNorm(nn.Module):
         return self.head(self.points(centred).amax(dim=1))
 
 
+class Penalised(NoNorm):
+    """With a penalty that is a sum over the batch, as PointNet's."""
+
+    def forward(self, clouds: torch.Tensor) -> Prediction:
+        logits = super().forward(clouds)
+        return Prediction(logits, penalty=0.1 * (logits.square().sum(1) - 1).square().sum())
+
+
 def wrong_shape(num_classes: int) -> nn.Module:
     return Bare(num_classes + 1)
 

@@ -19,7 +19,9 @@ ENVIRONMENT = {"device": "cpu", "cpu": "a processor", "git_commit": "0" * 40, "p
 CLASSES = ["bottle", "chair", "lamp", "table"]
 
 
-def predictions(accuracy, seed, objects=40, views=3, posed=False, truth_seed=0) -> Predictions:
+def predictions(
+    accuracy, seed, objects=40, views=3, posed=False, truth_seed=0, candidates=False, duplicates=0
+) -> Predictions:
     """Right with chance ``accuracy``; the clouds are the same for every model and seed."""
     truth, rng = np.random.default_rng(truth_seed), np.random.default_rng(seed)
     size = objects * views
@@ -31,10 +33,16 @@ def predictions(accuracy, seed, objects=40, views=3, posed=False, truth_seed=0) 
     logits[np.arange(size), answer] = 3
     logs = logits - np.log(np.exp(logits).sum(1, keepdims=True))
     bins = np.argsort(rng.random((size, 60)), axis=1)[:, :20]
+    each = np.argsort(rng.random((size, 20)), axis=1)  # which of the poses speaks loudest
+    under_poses = np.where(each > 4, answer[:, None], rng.integers(0, 4, (size, 20)))
+    kept = 20 if candidates else 0
     return Predictions(
         rows=np.arange(size, dtype=np.int32), labels=labels.astype(np.int16),
         predicted=answer.astype(np.int16), log_probabilities=logs.astype(np.float16),
         pose_bins=(bins if posed else bins[:, :0]).astype(np.uint8),
+        candidate_logits=each[:, :kept].astype(np.float32),
+        candidate_classes=under_poses[:, :kept].astype(np.int16),
+        duplicate=np.arange(size) < duplicates * views,
         quaternions=Rotation.random(size, rng=truth).as_quat().astype(np.float32),
         symmetries=np.array(["z-inf", "none", "z-inf", "z-180"])[labels],
         object_ids=np.array([f"{CLASSES[i % 4]}_{i:04d}" for i in range(objects)]).repeat(views),
@@ -45,7 +53,7 @@ def predictions(accuracy, seed, objects=40, views=3, posed=False, truth_seed=0) 
 
 def record(
     name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="mini",
-    test=None, test_digest="b", paper=None, title=None, variant="",
+    test=None, test_digest="b", paper=None, title=None, variant="", options=None,
 ) -> Result:  # fmt: skip
     card = ModelCard(
         name=name, entry=f"x:{name}", title=title or name.upper(), paper="Somebody et al., 2021",
@@ -58,7 +66,7 @@ def record(
     test = test or data
     objects = len(np.unique(stored.object_ids))
     return Result(
-        model=name, variant=variant, card=fields, recipe=fields["recipe"],
+        model=name, variant=variant, options=options or {}, card=fields, recipe=fields["recipe"],
         deviations=["29 epochs instead of 250"], protocol=protocol.as_dict(),
         protocol_digest=protocol.digest,
         train_data=DataRecord(data, "partial", digest * 64, 100, 20, CLASSES),
@@ -79,10 +87,16 @@ def record(
 
 
 def add(
-    folder: Path, name: str, accuracy: float, seed=0, posed=False, objects=40, views=3, **other
-):
+    folder: Path, name: str, accuracy: float, seed=0, posed=False, objects=40, views=3,
+    candidates=False, duplicates=0, options=None, **other,
+):  # fmt: skip
     """Writes one record; returns its path."""
-    stored = predictions(accuracy, 1000 * seed + sum(map(ord, name)), objects, views, posed)
+    other["variant"] = other.get("variant") or " ".join(
+        f"{k}={v}" for k, v in sorted((options or {}).items())
+    )
+    drawn = 1000 * seed + sum(map(ord, name + other["variant"]))
+    stored = predictions(accuracy, drawn, objects, views, posed, 0, candidates, duplicates)
+    other["options"] = options
     return results.write(folder, record(name, stored, seed, **other), stored)
 
 
