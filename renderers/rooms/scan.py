@@ -102,7 +102,7 @@ def import_open3d() -> ModuleType:
         raise PartialbenchError(
             f"simulating rooms needs Open3D, which does not import here ({error}). Its wheel needs "
             f"system libraries that slim machines lack: on Debian and Ubuntu, "
-            f"'apt-get install libgl1 libx11-6 libusb-1.0-0 libgomp1'"
+            f"'apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0 libgomp1'"
         ) from error
     return open3d
 
