@@ -123,13 +123,33 @@ class SteerableConvolution(nn.Module):
                 f"expected (B,{self.fields_in.channels},X,Y,Z) for fields "
                 f"{self.fields_in.multiplicities}, got {tuple(x.shape)}"
             )
+        low_precision = torch.is_autocast_enabled(x.device.type)
+        with torch.autocast(x.device.type, enabled=False):
+            mean, var = self._statistics(x)
+            padding = self.padding
+            if low_precision:
+                # Centring by a bias subtracts two large numbers where a field is nearly constant,
+                # as most of a sparse volume is; what half precision loses there swamps the rest.
+                x = self._centred(x, mean)
+                padding = 0
+            if self.formulation == "assembled":
+                operands = self._normalised_kernel(mean, var)
+            else:
+                weights = self._normalised_weights(var)
+                bias = self._bias(weights, mean)
         if self.formulation == "assembled":
-            kernel, bias = self.normalised_kernel(x)
-            return nn.functional.conv3d(x, kernel, bias, stride=self.stride, padding=self.padding)
-        mean, var = self._statistics(x)
-        weights = self._normalised_weights(var)
-        y = FactorisedConvolution.apply(x, self._geometry(), *weights)
-        return y + self._bias(weights, mean).view(-1, 1, 1, 1).to(y.dtype)
+            kernel, bias = operands
+            return nn.functional.conv3d(
+                x, kernel, None if low_precision else bias, stride=self.stride, padding=padding
+            )
+        y = FactorisedConvolution.apply(x, self._geometry(padding), *weights)
+        return y if low_precision else y + bias.view(-1, 1, 1, 1)
+
+    def _centred(self, x: Tensor, mean: Tensor) -> Tensor:
+        """The padded input less the mean, in float32: the padding is zero, so it becomes −mean."""
+        padded = nn.functional.pad(x.float(), (self.padding,) * 6)
+        shift = nn.functional.pad(mean, (0, self.fields_in.channels - len(mean)))
+        return padded - shift.view(-1, 1, 1, 1)
 
     def _statistics(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """(mean of the scalar fields (m_0,), variance or mean ‖v‖² of every field (count,))."""
@@ -174,12 +194,12 @@ class SteerableConvolution(nn.Module):
             bias = torch.cat([-answer, bias[m_out:]])
         return bias
 
-    def _geometry(self) -> Geometry:
+    def _geometry(self, padding: int) -> Geometry:
         pairs = [
             [self._basis(l_out, l_in) for l_in, _, _ in self.fields_in.degrees]
             for l_out, _, _ in self.fields_out.degrees
         ]
-        return Geometry(self.fields_in, self.fields_out, pairs, self.padding, self.stride)
+        return Geometry(self.fields_in, self.fields_out, pairs, padding, self.stride)
 
     def kernel(self, weights: list[Tensor] | None = None) -> Tensor:
         """The dense kernel (C_out,C_in,size,size,size), by default of the raw weights."""
@@ -204,7 +224,9 @@ class SteerableConvolution(nn.Module):
         In training they carry the statistics of ``x`` (B,C_in,X,Y,Z), and the running ones are
         updated; in evaluation they are kept between calls until a weight changes.
         """
-        mean, var = self._statistics(x)
+        return self._normalised_kernel(*self._statistics(x))
+
+    def _normalised_kernel(self, mean: Tensor, var: Tensor) -> tuple[Tensor, Tensor]:
         state = (*self.weights.values(), self.running_mean, self.running_var)
         # A tensor's version counts its in-place changes; its address changes with its device.
         key = tuple((t.data_ptr(), t._version, t.dtype) for t in state)

@@ -273,3 +273,23 @@ def test_published_basis_of_another_width_is_refused(shared) -> None:
     block = GatedBlock(Fields((2, 2, 2, 2)), Fields((3, 2, 2, 1)), 3, padding=1)
     with pytest.raises(InputError, match="kernel basis from degree 0 to 1"):
         gated_block_state(published, block)
+
+
+@pytest.mark.parametrize("formulation", ["assembled", "factorised"])
+def test_autocast_survives_fields_that_are_nearly_constant(formulation: str) -> None:
+    """Most of a sparse volume is background: its mean is many times its deviation."""
+    torch.manual_seed(0)
+    layer = SteerableConvolution(
+        Fields((4, 2)), Fields((4, 2)), 3, padding=1, formulation=formulation
+    )
+    x = torch.randn(2, layer.fields_in.channels, 8, 8, 8)
+    x[:, :4] = 3 + 0.03 * x[:, :4]
+    inner = (..., slice(1, -1), slice(1, -1), slice(1, -1))  # the zero padding is no constant
+    with torch.no_grad():
+        full = layer(x)[inner]
+        with torch.autocast("cpu", torch.bfloat16):
+            low = layer(x)[inner].float()
+        rounded = x.bfloat16().float()
+        uncentred = layer(rounded)[inner]
+    assert (low - full).norm() < 0.02 * full.norm()
+    assert (uncentred - full).norm() > 0.05 * full.norm()
