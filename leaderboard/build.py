@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from leaderboard import figures, gallery, page, tables
+from leaderboard import figures, gallery, latex, page, tables
 from leaderboard.board import make_board
 from leaderboard.check import problems
 from leaderboard.comparison import compare
+from leaderboard.layouts import layouts
 from partialbench.benchmark import results
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
@@ -55,11 +56,12 @@ def build_leaderboard(
         for name, (caption, figure) in drawn.items()
     }
     galleries = [gallery.disagreements(column, folder, test_sets) for column in board]
+    laid_out = layouts(board, comparisons)
     contents = {
-        "leaderboard.md": tables.as_markdown(board, comparisons).encode(),
+        "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
-        "leaderboard.tex": tables.as_latex(board, comparisons).encode(),
-        "leaderboard.html": page.as_html(board, comparisons, svgs, galleries).encode(),
+        "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
+        "leaderboard.html": page.as_html(board, comparisons, laid_out, svgs, galleries).encode(),
     }
     for name, (_, figure) in drawn.items():
         contents[f"figures/{name}.svg"] = svgs[name][1]

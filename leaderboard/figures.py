@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.tables import row_title
+from leaderboard.layouts import noise_title
+from leaderboard.words import row_title
 from partialbench.benchmark import results
 from partialbench.benchmark.metrics import confusion, shared_clouds
 
@@ -51,6 +52,12 @@ def draw_all(
                 figures[f"pose_{number}"] = (
                     f"Top-k accuracy of the pose bin: {column.title}",
                     pose,
+                )
+            poses = _ensemble(column)
+            if poses is not None:
+                figures[f"ensemble_{number}"] = (
+                    f"Accuracy against the number of poses that decide: {column.title}",
+                    poses,
                 )
             figures[f"confusion_{number}"] = (
                 f"Confusion of {row_title(column.cells[ranked(column)[0]].results[0])}, all seeds: "
@@ -158,6 +165,23 @@ def _top_k(column: Column) -> Figure | None:
                   label=_label(column, name))  # fmt: skip
     axes.set_xlabel("k")
     axes.set_ylabel("true pose bin among the k best (%)")
+    _legend(axes)
+    return figure
+
+
+def _ensemble(column: Column) -> Figure | None:
+    """The paper's figure of k and δ: accuracy over ensemble sizes, a curve for each row."""
+    deciding = [n for n in ranked(column) if column.cells[n].results[0].scores["ensemble"]]
+    if not deciding:
+        return None
+    figure, axes = _new()
+    for name in deciding:
+        cell = column.cells[name]
+        mean = 100 * np.mean([r.scores["ensemble"] for r in cell.results], axis=0)
+        axes.plot(range(1, len(mean) + 1), mean, marker="o", markersize=3, linewidth=1,
+                  label=noise_title(cell.results[0]))  # fmt: skip
+    axes.set_xlabel("k, poses that decide")
+    axes.set_ylabel("accuracy (%)")
     _legend(axes)
     return figure
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from leaderboard.board import Column, ranked
-from leaderboard.tables import row_title
+from leaderboard.words import row_title
 from partialbench.benchmark import results
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.loader import ShardDataset

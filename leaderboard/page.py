@@ -14,7 +14,8 @@ import jinja2
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.gallery import Sample
-from leaderboard.tables import crosses, describe, engineering, row_title
+from leaderboard.layouts import Layout
+from leaderboard.words import crosses, describe, duplicates, engineering, row_title
 
 TEMPLATE = Path(__file__).with_name("page.html.jinja")
 
@@ -22,12 +23,14 @@ TEMPLATE = Path(__file__).with_name("page.html.jinja")
 def as_html(
     board: list[Column],
     comparisons: list[Comparison],
+    layouts: list[Layout],
     figures: dict[str, tuple[str, bytes]],
     galleries: list[list[Sample]],
 ) -> str:
     """The page.
 
     Args:
+        layouts: the paper's tables.
         figures: file stem → (caption, SVG).
         galleries: for each column, the clouds its models disagree on.
     """
@@ -46,6 +49,7 @@ def as_html(
     ]
     return template.render(
         columns=columns,
+        layouts=layouts,
         figures=[(caption, base64.b64encode(svg).decode()) for caption, svg in figures.values()],
         samples=samples,
         # "</script" would end the element, whatever the quotes around it.
@@ -60,6 +64,7 @@ def _column(column: Column, comparison: Comparison) -> dict[str, Any]:
         "about": describe(column),
         "reported": column.reported,
         "crossed": crosses(column),
+        "repeated": duplicates(column),
         "posed": any(row["pose"] for row in rows),
         "rows": rows,
     }
@@ -78,6 +83,11 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
         "std": cell.std(),
         "interval": None if math.isnan(low) else (low, high),
         "groups": " ".join(map(str, comparison.groups[name])),
+        "without_duplicates": (
+            None
+            if first.scores["accuracy_without_duplicates"] is None
+            else cell.mean("accuracy_without_duplicates")
+        ),
         "class_accuracy": cell.mean("class_accuracy"),
         "restricted_accuracy": cell.mean("restricted_accuracy"),
         "calibration_error": cell.mean("calibration_error"),

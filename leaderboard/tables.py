@@ -1,4 +1,4 @@
-"""The board as Markdown, CSV and LaTeX: pure functions, so the same records give the same bytes."""
+"""The board as Markdown and CSV: pure functions, so the same records give the same bytes."""
 
 from __future__ import annotations
 
@@ -8,15 +8,33 @@ import math
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
-from partialbench.benchmark.results import Result
+from leaderboard.layouts import Layout
+from leaderboard.words import (
+    crosses,
+    describe,
+    duplicates,
+    engineering,
+    percent,
+    reported,
+    reported_name,
+    row_title,
+    without_duplicates,
+)
 
 
-def as_markdown(board: list[Column], comparisons: list[Comparison]) -> str:
-    """One table for each column, best row first, with the paper's figure where it has one."""
+def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: list[Layout]) -> str:
+    """One table for each column, best row first, with the paper's figure where it has one.
+
+    The paper's own tables follow.
+    """
     parts = ["# Leaderboard\n"]
     for column, comparison in zip(board, comparisons, strict=True):
         parts += [f"## {column.title}\n", describe(column) + "\n"]
-        head = ["model", "input", "accuracy", "95 % interval", "group", "over classes"]
+        head = ["model", "input", "accuracy", "95 % interval", "group"]
+        repeated = duplicates(column) > 0
+        if repeated:
+            head.append("without duplicates")
+        head.append("over classes")
         crossed = crosses(column)
         if crossed:
             head.append("shared classes only")
@@ -36,8 +54,10 @@ def as_markdown(board: list[Column], comparisons: list[Comparison]) -> str:
                 percent(cell.mean(), cell.std()),
                 "–" if math.isnan(low) else f"{100 * low:.1f} – {100 * high:.1f}",
                 " ".join(map(str, comparison.groups[name])),
-                percent(cell.mean("class_accuracy"), cell.std("class_accuracy")),
             ]
+            if repeated:
+                line.append(without_duplicates(cell))
+            line.append(percent(cell.mean("class_accuracy"), cell.std("class_accuracy")))
             if crossed:
                 line.append(percent(cell.mean("restricted_accuracy"), None))
             if posed:
@@ -58,33 +78,29 @@ def as_markdown(board: list[Column], comparisons: list[Comparison]) -> str:
             if column.reported:
                 line.append(reported(column, result))
             lines.append(line)
-        parts += ["| " + " | ".join(line) + " |" for line in lines]
-        parts.append("")
+        parts += [*_as_lines(lines), ""]
+    for layout in layouts:
+        parts += [f"## {layout.title}\n", layout.about + "\n"]
+        parts += [*_as_lines([layout.head, ["---"] * len(layout.head), *layout.rows]), ""]
     parts.append(LEGEND)
     return "\n".join(parts)
+
+
+def _as_lines(rows: list[list[str]]) -> list[str]:
+    return ["| " + " | ".join(row) + " |" for row in rows]
 
 
 LEGEND = """\
 Accuracy in %: share of test clouds named rightly, mean ± standard deviation over seeds; the
 interval is over test objects (bootstrap of whole objects). Rows that share a group number cannot be
-told apart (paired test over objects, Holm's correction, 5 %). Over classes: mean of the per-class
-accuracies. Pose bin: share of clouds whose best of the 60 bins is the true one under symmetry; pose
-error: median angle to the truth modulo symmetry. Turned: how far the logits move when a cloud is
-turned, in % of their size (0 = invariant). Multiply-adds and milliseconds are of the forward pass
-for one cloud (on the hardware of each record). Reported figures are the paper's own, on its data.
+told apart (paired test over objects, Holm's correction, 5 %). Without duplicates: the same without
+the test clouds of objects made from the very bytes of a training object. Over classes: mean of the
+per-class accuracies. Pose bin: share of clouds whose best of the 60 bins is the true one under
+symmetry; pose error: median angle to the truth modulo symmetry. Turned: how far the logits move
+when a cloud is turned, in % of their size (0 = invariant). Multiply-adds and milliseconds are of
+the forward pass for one cloud (on the hardware of each record). Reported figures are the paper's
+own, on its data.
 """
-
-
-def describe(column: Column) -> str:
-    """What every row of the column was trained and tested on, in one sentence."""
-    first = next(iter(column.cells.values())).results[0]
-    train, test = first.train_data, first.test_data
-    return (
-        f"Trained on {train.clouds:,} clouds of {train.objects:,} objects ({train.id}, "
-        f"{train.digest[:12]}), tested on {first.scores['clouds']:,} clouds of "
-        f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}); protocol "
-        f"{first.protocol['preset']} ({first.protocol_digest[:12]})."
-    )
 
 
 def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
@@ -94,10 +110,10 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
     writer.writerow(
         ["model", "variant", "train_data", "train_digest", "test_data", "test_digest", "preset",
          "protocol_digest", "seeds", "accuracy", "accuracy_std", "interval_low", "interval_high",
-         "groups", "class_accuracy", "restricted_accuracy", "calibration_error", "pose_top1",
-         "pose_top5", "pose_median_deg", "pose_within_30", "rotation_drift", "parameters",
-         "multiply_adds", "latency_ms", "batch_ms", "train_clouds_per_second",
-         "peak_memory_bytes", "paper_reported"]
+         "groups", "duplicates", "accuracy_without_duplicates", "class_accuracy",
+         "restricted_accuracy", "calibration_error", "pose_top1", "pose_top5", "pose_median_deg",
+         "pose_within_30", "rotation_drift", "parameters", "multiply_adds", "latency_ms",
+         "batch_ms", "train_clouds_per_second", "peak_memory_bytes", "paper_reported"]
     )  # fmt: skip
     for column, comparison in zip(board, comparisons, strict=True):
         for name in ranked(column):
@@ -111,12 +127,15 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 else [None] * 4
             )
             paper = first.card["paper_scores"].get(column.reported)
+            alone = first.scores["accuracy_without_duplicates"]
+            alone = None if alone is None else cell.mean("accuracy_without_duplicates")
             line = [
                 first.model, first.variant, first.train_data.id, first.train_data.digest,
                 first.test_data.id, first.test_data.digest, first.protocol["preset"],
                 first.protocol_digest, cell.seeds, cell.mean(), std,
                 None if math.isnan(low) else low, None if math.isnan(high) else high,
-                " ".join(map(str, comparison.groups[name])), cell.mean("class_accuracy"),
+                " ".join(map(str, comparison.groups[name])), first.scores["duplicates"],
+                alone, cell.mean("class_accuracy"),
                 cell.mean("restricted_accuracy"), cell.mean("calibration_error"), *posed,
                 first.rotation_audit["drift"], first.cost["parameters"],
                 first.cost["multiply_adds"], first.cost["latency_ms"], first.cost["batch_ms"],
@@ -127,88 +146,3 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 ["" if v is None else f"{v:.6f}" if isinstance(v, float) else v for v in line]
             )
     return text.getvalue()
-
-
-def as_latex(board: list[Column], comparisons: list[Comparison]) -> str:
-    """A document that compiles alone: one booktabs table for each column, in the paper's style."""
-    parts = [
-        r"\documentclass{article}", r"\usepackage[T1]{fontenc}", r"\usepackage[utf8]{inputenc}",
-        r"\usepackage{booktabs,graphicx}", r"\begin{document}",
-    ]  # fmt: skip
-    for column, comparison in zip(board, comparisons, strict=True):
-        head = ["Methods", "Input (Size)", "Accuracy (\\%)", "95\\% interval", "Group"]
-        if column.reported:
-            head.append(f"{escape(reported_name(column))} (reported)")
-        parts += [
-            r"\begin{table}[t]",
-            rf"\caption{{{escape(column.title)}. {escape(describe(column))}}}",
-            r"\centering", r"\resizebox{\columnwidth}{!}{",
-            rf"\begin{{tabular}}{{ll{'c' * (len(head) - 2)}}}", r"\toprule",
-            " & ".join(head) + r" \\", r"\midrule",
-        ]  # fmt: skip
-        best = ranked(column)[0]
-        for name in ranked(column):
-            cell, result = column.cells[name], column.cells[name].results[0]
-            low, high = comparison.intervals[name]
-            shown = percent(cell.mean(), cell.std()).replace("±", r"$\pm$")
-            line = [
-                escape(row_title(result)),
-                escape(result.card["representation"]) or "--",
-                rf"\textbf{{{shown}}}" if name == best else shown,
-                "--" if math.isnan(low) else f"{100 * low:.1f}--{100 * high:.1f}",
-                " ".join(map(str, comparison.groups[name])),
-            ]
-            if column.reported:
-                line.append(reported(column, result).replace("–", "--"))
-            parts.append(" & ".join(line) + r" \\")
-        parts += [r"\bottomrule", r"\end{tabular}}", r"\end{table}"]
-    return "\n".join([*parts, r"\end{document}", ""])
-
-
-_LATEX = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
-    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "×": r"$\times$", "→": r"$\rightarrow$", "–": "--", "±": r"$\pm$", "²": r"$^2$",
-    "³": r"$^3$", "δ": r"$\delta$",
-}  # fmt: skip
-
-
-def escape(text: str) -> str:
-    """Text with what LaTeX would misread replaced."""
-    return "".join(_LATEX.get(character, character) for character in text)
-
-
-def row_title(result: Result) -> str:
-    """As printed: the card's title and the variant."""
-    title = result.card["title"]
-    return f"{title} [{result.variant}]" if result.variant else title
-
-
-def reported_name(column: Column) -> str:
-    """What the paper's figures are on."""
-    return "paper, " + column.reported.upper().replace(">", " → ")
-
-
-def reported(column: Column, result: Result) -> str:
-    """The paper's figure for this row and pair of data sets, in %."""
-    figure = result.card["paper_scores"].get(column.reported)
-    return "–" if figure is None else f"{figure:.1f}"
-
-
-def percent(mean: float, std: float | None) -> str:
-    """A share as "83.5" or "83.5 ± 0.4"."""
-    return f"{100 * mean:.1f}" if std is None else f"{100 * mean:.1f} ± {100 * std:.1f}"
-
-
-def engineering(count: float) -> str:
-    """1_234_567 as "1.2 M"."""
-    for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
-        if count >= size:
-            return f"{count / size:.1f} {unit}"
-    return f"{count:.0f}"
-
-
-def crosses(column: Column) -> bool:
-    """Whether training and test data have different classes."""
-    first = next(iter(column.cells.values())).results[0]
-    return set(first.train_data.class_names) != set(first.test_data.class_names)

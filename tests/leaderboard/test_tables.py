@@ -17,7 +17,8 @@ from leaderboard.board import make_board, ranked
 from leaderboard.build import build_leaderboard
 from leaderboard.check import problems
 from leaderboard.comparison import compare
-from leaderboard.tables import engineering, escape
+from leaderboard.latex import escape
+from leaderboard.words import engineering
 from partialbench.benchmark import results
 from partialbench.errors import InputError
 from tests.leaderboard.records import add, predictions, record, small_board

@@ -1,0 +1,68 @@
+"""How the board's numbers and names are printed, in every table alike."""
+
+from __future__ import annotations
+
+from leaderboard.board import Cell, Column
+from partialbench.benchmark.results import Result
+
+
+def row_title(result: Result) -> str:
+    """As printed: the card's title and the variant."""
+    title = result.card["title"]
+    return f"{title} [{result.variant}]" if result.variant else title
+
+
+def reported_name(column: Column) -> str:
+    """What the paper's figures are on."""
+    return "paper, " + column.reported.upper().replace(">", " → ")
+
+
+def reported(column: Column, result: Result) -> str:
+    """The paper's figure for this row and pair of data sets, in %."""
+    figure = result.card["paper_scores"].get(column.reported)
+    return "–" if figure is None else f"{figure:.1f}"
+
+
+def percent(mean: float, std: float | None) -> str:
+    """A share as "83.5" or "83.5 ± 0.4"."""
+    return f"{100 * mean:.1f}" if std is None else f"{100 * mean:.1f} ± {100 * std:.1f}"
+
+
+def engineering(count: float) -> str:
+    """1_234_567 as "1.2 M"."""
+    for unit, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count:.0f}"
+
+
+def describe(column: Column) -> str:
+    """What every row of the column was trained and tested on, in one sentence."""
+    first = next(iter(column.cells.values())).results[0]
+    train, test = first.train_data, first.test_data
+    return (
+        f"Trained on {train.clouds:,} clouds of {train.objects:,} objects ({train.id}, "
+        f"{train.digest[:12]}), tested on {first.scores['clouds']:,} clouds of "
+        f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}); protocol "
+        f"{first.protocol['preset']} ({first.protocol_digest[:12]})."
+    )
+
+
+def crosses(column: Column) -> bool:
+    """Whether training and test data have different classes."""
+    first = next(iter(column.cells.values())).results[0]
+    return set(first.train_data.class_names) != set(first.test_data.class_names)
+
+
+def duplicates(column: Column) -> int:
+    """Test clouds of the column whose object was made from a training object's bytes."""
+    return next(iter(column.cells.values())).results[0].scores["duplicates"]
+
+
+def without_duplicates(cell: Cell) -> str:
+    """Accuracy without those clouds, "–" where none remains."""
+    if cell.results[0].scores["accuracy_without_duplicates"] is None:
+        return "–"
+    return percent(
+        cell.mean("accuracy_without_duplicates"), cell.std("accuracy_without_duplicates")
+    )
