@@ -25,8 +25,9 @@ class EdgeLayer(nn.Module):
     def forward(self, x: Tensor, edges: Tensor, neighbours: Tensor, penalty: Tensor) -> Tensor:
         """(B,N,C), (B,N,k,F), (B,N,k), (B,N,k) → (B,N,C_out)."""
         here, there = self.ends(x).chunk(2, dim=-1)
-        y = self.edge(edges) + gather(there, neighbours) + here[:, :, None]
-        y = self.norm(y.flatten(0, 2)).view_as(y) - penalty[..., None].to(y.dtype)
+        # In place: these are by far the largest tensors, and no backward pass needs them.
+        y = self.edge(edges).add_(gather(there, neighbours)).add_(here[:, :, None])
+        y = self.norm(y.flatten(0, 2)).view_as(y).sub_(penalty[..., None].to(y.dtype))
         return F.relu(y.amax(dim=2))
 
 

@@ -28,8 +28,8 @@ with warnings.catch_warnings():
 
 SHELLS = 3
 """Radial functions of the wide neighbourhood, and of the distance from the centroid."""
-WIDE_SHARE = 4
-"""The wide neighbourhood holds one in this many of the cloud's points, whatever their number."""
+WIDE_SHARE, WIDE_MOST = 4, 128
+"""The wide neighbourhood holds one in WIDE_SHARE of the cloud's points, at most WIDE_MOST."""
 SHORT = 0.01
 """Length in a cloud of radius 1 below which a direction fades out: it would be rounding or noise
 alone. Copies of one point are common where fewer points are visible than a cloud has."""
@@ -75,9 +75,10 @@ def shells(x: Tensor, centres: tuple[float, ...], width: float) -> Tensor:
 
 def per_degree(products: Tensor, lmax: int) -> Tensor:
     """(…,M) → (…,lmax): the sums over the components of each degree above 0."""
-    return torch.stack(
-        [products[..., n * n : (n + 1) ** 2].sum(-1) for n in range(1, lmax + 1)], dim=-1
-    )
+    # As a product with zeros and ones: faster than sums over a few strided components.
+    degree = torch.arange(lmax + 1).repeat_interleave(2 * torch.arange(lmax + 1) + 1)
+    belongs = degree[:, None] == torch.arange(1, lmax + 1)
+    return products @ belongs.to(products)
 
 
 def num_features(lmax: int) -> tuple[int, int]:
@@ -96,14 +97,14 @@ def geometry(points: Tensor, k: int, lmax: int) -> Geometry:
     with torch.autocast(points.device.type, enabled=False):
         parts = [
             _geometry(points[part], k, lmax)
-            for part in chunks(len(points), points.shape[1] ** 2 // WIDE_SHARE * (lmax + 1) ** 2)
+            for part in chunks(len(points), points.shape[1] * WIDE_MOST * (lmax + 1) ** 2)
         ]
         return Geometry(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
 
 
 def _geometry(points: Tensor, k: int, lmax: int) -> Geometry:
     number = points.shape[1]
-    wide = min(max(number // WIDE_SHARE, k), number - 1)
+    wide = min(max(min(number // WIDE_SHARE, WIDE_MOST), k), number - 1)
     near, index = distances(points, points).topk(wide + 1, largest=False)
     # The distance of the first point left out ends a neighbourhood; it is continuous, as every
     # order statistic is, though which point it belongs to is not.
