@@ -76,8 +76,9 @@ def shells(x: Tensor, centres: tuple[float, ...], width: float) -> Tensor:
 def per_degree(products: Tensor, lmax: int) -> Tensor:
     """(…,M) → (…,lmax): the sums over the components of each degree above 0."""
     # As a product with zeros and ones: faster than sums over a few strided components.
-    degree = torch.arange(lmax + 1).repeat_interleave(2 * torch.arange(lmax + 1) + 1)
-    belongs = degree[:, None] == torch.arange(1, lmax + 1)
+    device = products.device
+    degree = torch.arange((lmax + 1) ** 2, device=device).sqrt().floor()
+    belongs = degree[:, None] == torch.arange(1, lmax + 1, device=device)
     return products @ belongs.to(products)
 
 

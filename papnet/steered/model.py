@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn.functional import nll_loss
 
 from baselines.points import full_precision
-from papnet.pose import SOFT_WEIGHTS, similarity
+from papnet.pose import SOFT_WEIGHTS, bins
 from papnet.steered.descriptor import Describe, Descriptor
 from papnet.steered.head import InvariantHead, JointHead
 from partialbench.benchmark.prediction import Batch, Prediction
@@ -61,6 +61,8 @@ class PAPNetSteered(nn.Module):
         self.pose_weight, self.soft_targets = pose_weight, tuple(soft_targets)
         self.describe = Describe(lmax, channels, width, k)
         self.head = JointHead(channels, width, lmax, HIDDEN, num_classes)
+        self.bins: Tensor
+        self.register_buffer("bins", bins(torch.zeros(0)).flatten(1), persistent=False)
 
     def descriptor(self, points: Tensor) -> Descriptor:
         """(B,N,3) → the steerable descriptor."""
@@ -100,7 +102,9 @@ class PAPNetSteered(nn.Module):
         loss = nll_loss(joint.logsumexp(1), batch.label)
         if self.pose_weight:
             of_label = joint[torch.arange(len(joint), device=joint.device), :, batch.label]
-            order = similarity(batch.mapped_rotation).topk(len(self.soft_targets)).indices
+            # The trace of R_bᵀ·R, which falls as the angle between them rises.
+            similarity = batch.mapped_rotation.to(self.bins.dtype).flatten(1) @ self.bins.T
+            order = similarity.topk(len(self.soft_targets)).indices
             nearest = of_label.gather(1, order)
             weights = nearest.new_tensor(self.soft_targets)
             loss = loss - self.pose_weight * (nearest @ weights).mean()
