@@ -27,7 +27,8 @@ class Recipe:
         lr, weight_decay, momentum, batch_size, epochs: as published.
         schedule: "constant", "step", "cosine", "one-cycle", "plateau"; ``schedule_options`` as the
             harness's ``benchmark.schedule`` takes them.
-        label_smoothing: torch's sense (spread over all classes).
+        label_smoothing: ε, spread over all K classes (torch's sense) or, with
+            ``smoothing_over_others``, over the K − 1 others (DGCNN's).
         clip_norm: global gradient norm, or None.
         notes: what the publication does that does not fit a field.
     """
@@ -41,6 +42,7 @@ class Recipe:
     schedule: str = "constant"
     schedule_options: Mapping[str, Any] = field(default_factory=dict)
     label_smoothing: float = 0.0
+    smoothing_over_others: bool = False
     clip_norm: float | None = None
     notes: str = ""
 

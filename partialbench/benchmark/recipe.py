@@ -35,6 +35,13 @@ def make_optimizer(model: nn.Module, recipe: Recipe) -> Optimizer:
     )
 
 
+def label_smoothing(recipe: Recipe, num_classes: int) -> float:
+    """The recipe's smoothing in torch's sense: ε over the others is ε·K/(K − 1) over all."""
+    if recipe.smoothing_over_others:
+        return recipe.label_smoothing * num_classes / (num_classes - 1)
+    return recipe.label_smoothing
+
+
 def override(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
     """The recipe with fields changed; an unknown field raises ``InputError``."""
     known = [f.name for f in dataclasses.fields(Recipe)]

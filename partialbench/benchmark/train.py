@@ -165,7 +165,9 @@ def train(
     # The model, its optimiser and schedule, and the batches: all from the seed and the recipe.
     torch.manual_seed(step_seed(task.seed, "init"))
     bare = models.create(task.model, num_classes, task.options)
-    wrapped = WithLoss(bare, task.recipe.label_smoothing, num_classes, fabric.world_size)
+    wrapped = WithLoss(
+        bare, recipes.label_smoothing(task.recipe, num_classes), num_classes, fabric.world_size
+    )
     if fabric.world_size > 1 and fabric.device.type == "cuda":
         wrapped = nn.SyncBatchNorm.convert_sync_batchnorm(wrapped)
     network, optimizer = fabric.setup(wrapped, recipes.make_optimizer(wrapped, task.recipe))
