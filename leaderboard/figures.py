@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.layouts import noise_title
-from leaderboard.words import row_title
+from leaderboard.words import paper_score, row_title
 from partialbench.benchmark import results
 from partialbench.benchmark.metrics import confusion, shared_clouds
 
@@ -23,6 +23,9 @@ _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "partialbench", "svg.fonttype": "path", "font.size": 9,
     "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150,
 }  # fmt: skip
+K_TICKS = (1, 5, 10, 15, 20)
+FEW_CLOUDS = 10
+"""A share of fewer clouds says little, and is not drawn."""
 SETTINGS = ("aligned", "rotated", "partial")
 
 
@@ -89,7 +92,7 @@ def _accuracy(column: Column, comparison: Comparison) -> Figure:
     for i, name in enumerate(names):
         low, high = comparison.intervals[name]
         axes.plot([100 * low, 100 * high], [i, i], color="black", linewidth=1)
-        paper = column.cells[name].results[0].card["paper_scores"].get(column.reported)
+        paper = paper_score(column, column.cells[name].results[0])
         if paper is not None:
             axes.plot(paper, i, marker="D", color="#c44e52", markersize=4)
     axes.set_yticks(range(len(names)), [row_title(column.cells[n].results[0]) for n in names])
@@ -129,10 +132,11 @@ def _visibility(column: Column) -> Figure:
     figure, axes = _new()
     for name in ranked(column):
         rows = [r.scores["visibility"] for r in column.cells[name].results]
-        seen = [i for i, bin_ in enumerate(rows[0]) if bin_["clouds"] > 0]
+        seen = [i for i, bin_ in enumerate(rows[0]) if bin_["clouds"] >= FEW_CLOUDS]
         centres = [50 * (rows[0][i]["from"] + rows[0][i]["to"]) for i in seen]
         means = [100 * float(np.mean([row[i]["accuracy"] for row in rows])) for i in seen]
-        axes.plot(centres, means, marker="o", markersize=3, linewidth=1, label=_label(column, name))
+        axes.plot(centres, means, markersize=3, linewidth=1, label=_label(column, name),
+                  **_look(column, name))  # fmt: skip
     axes.set_xlabel("visible surface (%)")
     axes.set_ylabel("accuracy (%)")
     _legend(axes)
@@ -144,12 +148,12 @@ def _cost(column: Column) -> Figure:
     for name in ranked(column):
         cell = column.cells[name]
         x, y = cell.results[0].cost["multiply_adds"], 100 * cell.mean()
-        axes.plot(max(x, 1), y, marker="o")
-        axes.annotate(_label(column, name), (max(x, 1), y), (4, 3), textcoords="offset points")
+        axes.plot(max(x, 1), y, linestyle="", label=_label(column, name), **_look(column, name))
     axes.set_xscale("log")
     axes.margins(0.15)
     axes.set_xlabel("multiply-adds of one cloud")
     axes.set_ylabel("accuracy (%)")
+    _legend(axes)
     return figure
 
 
@@ -161,9 +165,10 @@ def _top_k(column: Column) -> Figure | None:
     for name in posed:
         curves = [r.scores["pose"]["top_k"] for r in column.cells[name].results]
         mean = 100 * np.mean(curves, axis=0)
-        axes.plot(range(1, len(mean) + 1), mean, marker="o", markersize=3, linewidth=1,
-                  label=_label(column, name))  # fmt: skip
+        axes.plot(range(1, len(mean) + 1), mean, markersize=3, linewidth=1,
+                  label=_label(column, name), **_look(column, name))  # fmt: skip
     axes.set_xlabel("k")
+    axes.set_xticks(K_TICKS)
     axes.set_ylabel("true pose bin among the k best (%)")
     _legend(axes)
     return figure
@@ -178,9 +183,10 @@ def _ensemble(column: Column) -> Figure | None:
     for name in deciding:
         cell = column.cells[name]
         mean = 100 * np.mean([r.scores["ensemble"] for r in cell.results], axis=0)
-        axes.plot(range(1, len(mean) + 1), mean, marker="o", markersize=3, linewidth=1,
-                  label=noise_title(cell.results[0]))  # fmt: skip
+        axes.plot(range(1, len(mean) + 1), mean, markersize=3, linewidth=1,
+                  label=noise_title(cell.results[0]), **_look(column, name))  # fmt: skip
     axes.set_xlabel("k, poses that decide")
+    axes.set_xticks(K_TICKS)
     axes.set_ylabel("accuracy (%)")
     _legend(axes)
     return figure
@@ -209,6 +215,12 @@ def _confusion(column: Column, folder: Path) -> Figure:
 
 def _label(column: Column, name: str) -> str:
     return row_title(column.cells[name].results[0])
+
+
+def _look(column: Column, name: str) -> dict[str, Any]:
+    """A row's colour and marker, the same in every figure of its column."""
+    rank = ranked(column).index(name)
+    return {"color": f"C{rank % 10}", "marker": "os^Dv*"[rank // 10 % 6]}
 
 
 def _legend(axes: Axes) -> None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.words import percent, reported_name, row_title
+from leaderboard.words import percent, reported, reported_name, row_title
 from partialbench.benchmark.results import Result
 
 MODEL = "papnet"
@@ -103,22 +103,29 @@ def _evaluations(board: list[Column]) -> list[Layout]:
     for columns in protocols.values():
         if len(columns) < 2:
             continue
+        preset = next(iter(columns[0].cells.values())).results[0].protocol["preset"]
         columns.sort(key=lambda c: (_PAIRS.index(c.reported), c.title))
-        names = dict.fromkeys(name for column in columns for name in ranked(column))
+        names = dict.fromkeys(
+            name for column in columns for name in ranked(column)
+            if not column.cells[name].results[0].variant
+        )  # fmt: skip
         rows = []
         for name in names:
             here = [column.cells.get(name) for column in columns]
             first = next(cell for cell in here if cell is not None).results[0]
             row = [row_title(first), first.card["representation"] or "–"]
             for column, cell in zip(columns, here, strict=True):
-                paper = first.card["paper_scores"].get(column.reported)
-                row += ["–" if cell is None else percent(cell.mean(), cell.std()),
-                        "–" if paper is None else f"{paper:.1f}"]  # fmt: skip
+                ours = "–" if cell is None else percent(cell.mean(), cell.std())
+                row += [ours, reported(column, first)]
             rows.append(row)
-        heads = [[column.title, reported_name(column)] for column in columns]
+        # The same for all but the data sets' names, unless digests tell two apart.
+        heads = [
+            [column.title.replace(f", partial, {preset}", ""), reported_name(column)]
+            for column in columns
+        ]
         found.append(
             Layout(
-                "Accuracy (%) on every data set and between them",
+                f"Accuracy (%) on every data set and between them, {preset}",
                 "After table 1 of the paper, whose own figures, on its data, stand beside ours.",
                 ["method", "input", *(text for pair in heads for text in pair)],
                 rows,

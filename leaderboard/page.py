@@ -15,7 +15,14 @@ from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.gallery import Sample
 from leaderboard.layouts import Layout
-from leaderboard.words import crosses, describe, duplicates, engineering, row_title
+from leaderboard.words import (
+    crosses,
+    describe,
+    duplicates,
+    engineering,
+    paper_score,
+    row_title,
+)
 
 TEMPLATE = Path(__file__).with_name("page.html.jinja")
 
@@ -50,7 +57,10 @@ def as_html(
     return template.render(
         columns=columns,
         layouts=layouts,
-        figures=[(caption, base64.b64encode(svg).decode()) for caption, svg in figures.values()],
+        figures=[
+            (_column_of(stem), caption, base64.b64encode(svg).decode())
+            for stem, (caption, svg) in figures.items()
+        ],
         samples=samples,
         # "</script" would end the element, whatever the quotes around it.
         samples_json=json.dumps(samples, separators=(",", ":")).replace("<", "\\u003c"),
@@ -99,7 +109,7 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
         "multiply_adds_text": engineering(first.cost["multiply_adds"]),
         "batch_ms": first.cost["batch_ms"],
         "seeds": [r.seed for r in cell.results],
-        "paper": first.card["paper_scores"].get(column.reported),
+        "paper": paper_score(column, first),
         "per_class": [
             (label, share) for label, share in first.scores["per_class"].items()
             if share is not None
@@ -113,6 +123,12 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
         ],
         "protocol": first.protocol,
     }  # fmt: skip
+
+
+def _column_of(stem: str) -> str:
+    """The number, from 0, of the column a figure is of, as its file's stem ends; or ""."""
+    number = stem.rpartition("_")[2]
+    return str(int(number) - 1) if number.isdigit() else ""
 
 
 def _polyline(values: list[float]) -> str:

@@ -14,6 +14,7 @@ from leaderboard.words import (
     describe,
     duplicates,
     engineering,
+    paper_score,
     percent,
     reported,
     reported_name,
@@ -126,7 +127,7 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 if pose
                 else [None] * 4
             )
-            paper = first.card["paper_scores"].get(column.reported)
+            paper = paper_score(column, first)
             alone = first.scores["accuracy_without_duplicates"]
             alone = None if alone is None else cell.mean("accuracy_without_duplicates")
             line = [

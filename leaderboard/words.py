@@ -17,9 +17,17 @@ def reported_name(column: Column) -> str:
     return "paper, " + column.reported.upper().replace(">", " → ")
 
 
+def paper_score(column: Column, result: Result) -> float | None:
+    """The paper's figure for this row and pair of data sets, in %.
+
+    None where it has none: a row whose model or recipe was changed is not what the paper reports.
+    """
+    return None if result.variant else result.card["paper_scores"].get(column.reported)
+
+
 def reported(column: Column, result: Result) -> str:
-    """The paper's figure for this row and pair of data sets, in %."""
-    figure = result.card["paper_scores"].get(column.reported)
+    """The same as printed."""
+    figure = paper_score(column, result)
     return "–" if figure is None else f"{figure:.1f}"
 
 
