@@ -96,6 +96,8 @@ CARDS: tuple[ModelCard, ...] = (
             *_STEERED_ENCODER,
             "the encoder and descriptor of papnet-steered; the norms of its channels, which no "
             "rotation changes, go through two hidden layers of as many parameters as its head",
+            "norms do not change under reflection either: it cannot tell a shape from its mirror "
+            "image, which papnet-steered can",
         ),
     ),
 )

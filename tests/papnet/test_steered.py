@@ -210,6 +210,17 @@ def test_the_twin_does_not_see_the_pose(dtype: torch.dtype, tolerance: float) ->
             assert (after - before).abs().max() < tolerance * scale
 
 
+def test_only_the_posed_one_tells_a_shape_from_its_mirror_image() -> None:
+    t = torch.linspace(0, 1, 160, dtype=torch.float64)
+    helix = torch.stack([(9 * t).cos(), (9 * t).sin(), 2 * t], dim=-1) * (1 + t[:, None])
+    mirrored = helix * torch.tensor([1.0, -1.0, 1.0])
+    with torch.no_grad():
+        for model, differs in ((posed(), True), (poseless(), False)):
+            one, other = model(torch.stack([helix, mirrored])).class_logits
+            change = (one - other).abs().max() / one.abs().max()
+            assert change > 1e-4 if differs else change < 1e-9
+
+
 def test_the_twin_has_the_same_encoder_and_about_as_many_parameters() -> None:
     def shapes(model: nn.Module) -> dict[str, torch.Size]:
         (describe,) = [m for m in model.modules() if isinstance(m, Describe)]
