@@ -130,17 +130,21 @@ class PAPNet(nn.Module):
 
         Returns:
             class logits (B,K), the elementwise largest over the ensemble, so that their argmax is
-            the class of the highest candidate; pose logits (B,60) unless the variant has none.
+            the class of the highest candidate; pose logits (B,60) unless the variant has none; the
+            candidates where an ensemble decided.
         """
         points = normalise(points)
         features = self.backbone(points, self.grid)
         pose_logits, predicted = self._pose(features)
         if rotation is None and pose_logits is not None and self._ensemble_size() > 1:
             ranked = pose_logits.topk(self._ensemble_size(), dim=1).indices
-            logits = self._over_bins(points, features, ranked).amax(1)
-        else:
-            rotation = predicted if rotation is None else rotation
-            logits = self._classify(points, features, rotation)
+            under_poses = self._over_bins(points, features, ranked)
+            loudest = under_poses.max(-1)
+            return Prediction(
+                under_poses.amax(1), pose_logits, candidates=(loudest.values, loudest.indices)
+            )
+        rotation = predicted if rotation is None else rotation
+        logits = self._classify(points, features, rotation)
         return Prediction(logits, pose_logits)
 
     def candidates(self, points: Tensor, k: int | None = None) -> Candidates:

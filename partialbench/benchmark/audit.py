@@ -24,6 +24,7 @@ from partialbench.geometry.rotations import haar_rotations
 
 AUDIT_CLOUDS = 24
 AUDIT_TURNS = 2
+COST_BATCH = 32
 LATENCY_REPEATS = 5
 
 
@@ -71,7 +72,10 @@ def rotation_audit(
 
 @torch.inference_mode()
 def cost(
-    model: nn.Module, dataset: Clouds, device: torch.device | str = "cpu", batch_size: int = 32
+    model: nn.Module,
+    dataset: Clouds,
+    device: torch.device | str = "cpu",
+    batch_size: int = COST_BATCH,
 ) -> dict[str, Any]:
     """Parameters, arithmetic and time of the forward pass.
 

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from torch import Tensor, nn
+from torch import nn
 
 from partialbench.benchmark import duplicates
 from partialbench.benchmark.batches import Clouds
-from partialbench.benchmark.models import as_prediction, candidates
+from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
 from partialbench.benchmark.predictions import POSE_BINS_KEPT, Predictions
 from partialbench.errors import PartialbenchError
@@ -29,11 +29,10 @@ def run_model(
     num_classes: int,
     device: torch.device | str = "cpu",
     batch_size: int = 32,
-) -> Iterator[tuple[NDArray[np.int64], Tensor, Prediction]]:
-    """Row numbers, clouds and the model's answers, batch by batch, in evaluation mode.
+) -> Iterator[tuple[NDArray[np.int64], Prediction]]:
+    """The model's answers for ``rows``, batch by batch, in evaluation mode and full precision.
 
-    In full precision. Clouds are the first points of the stored order: no randomness, no
-    augmentation, no votes.
+    Clouds are the first points of the stored order: no randomness, no augmentation, no votes.
     """
     model.eval()
     for start in range(0, len(rows), batch_size):
@@ -42,7 +41,7 @@ def run_model(
         # Not around the yield: a generator must not leave its caller without gradients.
         with torch.inference_mode():
             output = model(points)
-        yield chosen, points, as_prediction(output, len(chosen), num_classes)
+        yield chosen, as_prediction(output, len(chosen), num_classes)
 
 
 def predict_rows(
@@ -66,9 +65,7 @@ def predict_rows(
     if len(rows) == 0:
         raise ValueError("there is nothing to evaluate: no rows")
     predicted, logs, bins, scores, classes = [], [], [], [], []
-    for chosen, points, prediction in run_model(
-        model, dataset, rows, num_classes, device, batch_size
-    ):
+    for chosen, prediction in run_model(model, dataset, rows, num_classes, device, batch_size):
         logits = prediction.class_logits.double()
         if not bool(torch.isfinite(logits).all()):
             bad = int((~torch.isfinite(logits)).any(dim=1).sum())
@@ -81,10 +78,9 @@ def predict_rows(
         if prediction.pose_logits is not None:
             order = prediction.pose_logits.argsort(dim=1, descending=True, stable=True)
             bins.append(order[:, :POSE_BINS_KEPT].cpu())
-            under_poses = candidates(model, points, POSE_BINS_KEPT)
-            if under_poses is not None:
-                scores.append(under_poses[0].float().cpu())
-                classes.append(under_poses[1].cpu())
+        if prediction.candidates is not None:
+            scores.append(prediction.candidates[0][:, :POSE_BINS_KEPT].float().cpu())
+            classes.append(prediction.candidates[1][:, :POSE_BINS_KEPT].cpu())
     # float16 ends at −65504; beyond that a probability is zero anyway.
     log_probabilities = torch.cat(logs).clamp(min=-60_000).numpy().astype(np.float16)
     nothing = np.zeros((len(rows), 0))
@@ -115,7 +111,7 @@ def quick_accuracy(
     if len(rows) == 0:
         return None
     hits = 0
-    for chosen, _, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
+    for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
         answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
         hits += int((answer == dataset.labels[chosen]).sum())
     return hits / len(rows)

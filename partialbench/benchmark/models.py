@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor, nn
 
 from partialbench import registry
@@ -60,6 +59,10 @@ def as_prediction(output: Any, num_clouds: int, num_classes: int) -> Prediction:
     shapes = [("class_logits", prediction.class_logits, (num_clouds, num_classes))]
     if prediction.pose_logits is not None:
         shapes.append(("pose_logits", prediction.pose_logits, (num_clouds, NUM_BINS)))
+    if prediction.candidates is not None:
+        logits, classes = prediction.candidates
+        ensemble = (num_clouds, logits.shape[-1])
+        shapes += [("candidate logits", logits, ensemble), ("candidate classes", classes, ensemble)]
     for field, tensor, expected in shapes:
         if tuple(tensor.shape) != expected:
             raise InputError(
@@ -67,30 +70,6 @@ def as_prediction(output: Any, num_clouds: int, num_classes: int) -> Prediction:
                 f"{num_clouds} clouds"
             )
     return prediction
-
-
-@torch.inference_mode()
-def candidates(model: nn.Module, points: Tensor, k: int) -> tuple[Tensor, Tensor] | None:
-    """The class answer under each of the ``k`` most confident poses; None for a model without.
-
-    A model that decides over several poses has a method ``candidates(points, k)`` that returns,
-    best pose first, the highest class logit (B,k) under each and the class (B,k) it belongs to; the
-    class of the highest logit is the model's answer.
-
-    Raises:
-        InputError: it returned something of another shape.
-    """
-    offered = getattr(model, "candidates", None)
-    if not callable(offered):
-        return None
-    logits, classes = offered(points, k)[:2]
-    expected = (len(points), k)
-    if tuple(logits.shape) != expected or tuple(classes.shape) != expected:
-        raise InputError(
-            f"the model's candidates have shapes {tuple(logits.shape)} and {tuple(classes.shape)}, "
-            f"expected {expected} for {len(points)} clouds and {k} poses"
-        )
-    return logits, classes
 
 
 def num_parameters(model: nn.Module) -> int:

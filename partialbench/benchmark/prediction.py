@@ -16,11 +16,15 @@ class Prediction(NamedTuple):
         penalty: scalar the model adds to its own training loss (PointNet's orthogonality term),
             already weighted, or None. A sum over the clouds of the batch: with several processes
             the harness adds up their shares' penalties, where it averages all other losses.
+        candidates: of a model that decides over its k most confident poses: the highest class
+            logit (B,k) under each, best pose first, and the class (B,k) it belongs to, or None. So
+            every smaller ensemble can be scored without another run.
     """
 
     class_logits: Tensor
     pose_logits: Tensor | None = None
     penalty: Tensor | None = None
+    candidates: tuple[Tensor, Tensor] | None = None
 
 
 class Batch(NamedTuple):

@@ -32,9 +32,9 @@ class Predictions:
         predicted: (M,) int16 most probable class, index into the *model's* class names.
         log_probabilities: (M,K) float16 over the model's classes, natural logarithm.
         pose_bins: (M,20) uint8 best first, or (M,0) for a model without pose.
-        candidate_logits, candidate_classes: (M,20) float32 and int16, for a model that decides over
-            several poses: the highest class logit under each of ``pose_bins`` and its class; (M,0)
-            for others.
+        candidate_logits, candidate_classes: (M,k) float32 and int16, k ≤ 20, of a model that
+            decides over k poses: the highest class logit under each of the first k ``pose_bins``
+            and its class; (M,0) for others.
         quaternions: (M,4) float32 R_camera_object as x, y, z, w; see ``rotations``.
         symmetries: (M,) str group names.
         object_ids: (M,) str. views: (M,) int32. visible_fraction: (M,) float32.

@@ -128,7 +128,8 @@ def make_task(
         protocol.validation_fraction, protocol.split_seed,
     )  # fmt: skip
     train_rows = balanced_subset(train_rows, train_set.labels, protocol.max_train_clouds)
-    validation_rows = balanced_subset(validation_rows, train_set.labels, protocol.max_train_clouds)
+    for limit in (protocol.max_train_clouds, protocol.max_test_clouds):
+        validation_rows = balanced_subset(validation_rows, train_set.labels, limit)
     return Task(
         model, train_set, train_rows, validation_rows, protocol, recipe, seed, options, variant
     )
@@ -155,8 +156,12 @@ def _test_all(
     """Tests a finished checkpoint's model on each test set; cost and audit are measured once."""
     device, num_classes = fabric.device, len(content["class_names"])
     model = model.to(device)
-    cost = audit.cost(model, test_sets[0], device)
-    turned = audit.rotation_audit(model, test_sets[0], num_classes, device)
+    # A protocol that tests few clouds is meant to be quick, and is not to be outlasted by these.
+    most = content["protocol"]["max_test_clouds"] or len(test_sets[0])
+    cost = audit.cost(model, test_sets[0], device, min(audit.COST_BATCH, most))
+    turned = audit.rotation_audit(
+        model, test_sets[0], num_classes, device, min(audit.AUDIT_CLOUDS, most)
+    )
     return [_test(content, model, test_set, fabric, folder, cost, turned) for test_set in test_sets]
 
 
