@@ -127,7 +127,10 @@ def evaluate(
         tested = f"{result.test_data.id} ({result.test_data.setting})"
         accuracy = result.scores["accuracy"]
         print(f"{result.row}, seed {result.seed}, on {tested}: accuracy {accuracy:.1%}")
-    print(f"records in {results}; 'partialbench leaderboard --results {results}' makes the table")
+    if done:  # among several processes only the first has results
+        print(
+            f"records in {results}; 'partialbench leaderboard --results {results}' makes the table"
+        )
 
 
 @app.command(
