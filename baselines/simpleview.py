@@ -116,7 +116,7 @@ class SimpleView(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
         # Channels last in memory, weights and images alike: faster on CPU and GPU.
-        self.trunk.to(memory_format=torch.channels_last)
+        self.trunk.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds, any scale and position → class logits (B,K)."""

@@ -15,6 +15,7 @@ from baselines.points import normalise
 from baselines.steerable import Fields, GatedBlock
 from baselines.voxels import low_pass, occupancy
 from partialbench.benchmark.prediction import Prediction
+from partialbench.errors import InputError
 
 GRID = 64
 FIELDS = ((8, 4, 2),) * 2 + ((16, 8, 4),) * 2 + ((32, 16, 8),) * 3 + ((512,),)
@@ -29,10 +30,17 @@ class SteerableCNN(nn.Module):
 
     The output of the trunk is a scalar field, so the logits do not change when the cloud is turned,
     up to what the grid and the strides break.
+
+    Args:
+        num_classes: K.
+        grid: edge of the input volume; the published 64.
     """
 
-    def __init__(self, num_classes: int) -> None:
+    def __init__(self, num_classes: int, *, grid: int = GRID) -> None:
         super().__init__()
+        if grid < 1:
+            raise InputError(f"grid must be positive, got {grid}")
+        self.grid = grid
         self.trunk = nn.Sequential(
             *(
                 GatedBlock(Fields(a), Fields(b), 5, padding=4, stride=stride)
@@ -44,6 +52,6 @@ class SteerableCNN(nn.Module):
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds, any scale and position → class logits (B,K)."""
         with torch.autocast(points.device.type, enabled=False):
-            fine = occupancy(normalise(points), 2 * GRID)
+            fine = occupancy(normalise(points), 2 * self.grid)
             volume = low_pass(nn.functional.avg_pool3d(fine, 2), LOW_PASS_SIGMA, radius=2)
         return Prediction(self.classifier(self.trunk(volume).mean((2, 3, 4))))

@@ -41,3 +41,22 @@ def test_volumes_have_the_published_edges() -> None:
     with torch.no_grad():
         assert model(torch.randn(1, 100, 3)).class_logits.shape == (1, 10)
     assert edges == [34, 38, 21, 25, 15, 19, 12, 16]
+
+
+@pytest.mark.slow
+def test_four_clouds_are_overfitted() -> None:
+    torch.manual_seed(0)
+    model, label = SteerableCNN(4, grid=8), torch.arange(4)
+    points = torch.randn(4, 100, 3) * torch.rand(4, 1, 3)
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
+    for _ in range(60):
+        loss = torch.nn.functional.cross_entropy(model.train()(points).class_logits, label)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    for module in model.modules():
+        if hasattr(module, "momentum"):
+            module.momentum = 1.0  # the running statistics become those of the next batch
+    with torch.no_grad():
+        model.train()(points)
+        assert model.eval()(points).class_logits.argmax(1).tolist() == label.tolist()

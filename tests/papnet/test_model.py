@@ -154,3 +154,25 @@ def test_candidates_need_a_pose_branch_and_evaluation() -> None:
         small("without-pose").eval().candidates(batch().points)
     with pytest.raises(InputError, match="eval"):
         small().train().candidates(batch().points)
+
+
+def test_eight_clouds_are_overfitted() -> None:
+    torch.manual_seed(0)
+    model, label = PAPNet(8, k=1, grid=16), torch.arange(8)
+    points = torch.randn(8, 100, 3) * torch.rand(8, 1, 3)
+    R = torch.tensor(Rotation.random(8, random_state=0).as_matrix()).float()
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-3)
+    for _ in range(20):
+        optimizer.zero_grad()
+        model.train().training_loss(Batch(points, label, R, R)).backward()
+        optimizer.step()
+    for module in model.modules():
+        if hasattr(module, "momentum"):
+            module.momentum = 1.0  # the running statistics become those of the next batch
+    snapped = pose.bins(R)[pose.nearest_bin(R)]
+    with torch.no_grad():
+        model.train()(points, rotation=snapped)
+        given = model.eval()(points, rotation=snapped)
+    assert given.class_logits.argmax(1).tolist() == label.tolist()
+    assert given.pose_logits is not None
+    assert torch.equal(given.pose_logits.argmax(1), pose.nearest_bin(R))
