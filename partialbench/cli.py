@@ -20,7 +20,7 @@ from rich.logging import RichHandler
 from rich.table import Table
 
 from partialbench import __version__, arguments, cli_data, registry
-from partialbench.console import Json, print_result, stderr, stdout
+from partialbench.console import Json, continued_by, print_result, stderr, stdout
 from partialbench.errors import PartialbenchError
 
 app = typer.Typer(
@@ -114,12 +114,13 @@ def evaluate(
     """Train a model under the protocol and test it; one record per seed and test set."""
     from partialbench.benchmark.run import run_eval
 
-    done = run_eval(
-        model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
-        first_seed=first_seed, precision=precision, checkpoint_every=checkpoint_every,
-        recipe=arguments.pairs(recipe), options=arguments.pairs(option),
-        **arguments.pairs(protocol),
-    )  # fmt: skip
+    with continued_by("the same command with --resume"):
+        done = run_eval(
+            model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
+            first_seed=first_seed, precision=precision, checkpoint_every=checkpoint_every,
+            recipe=arguments.pairs(recipe), options=arguments.pairs(option),
+            **arguments.pairs(protocol),
+        )  # fmt: skip
     if as_json:
         print(json.dumps([dataclasses.asdict(result) for result in done], indent=1))
         return
@@ -194,7 +195,8 @@ def quickstart(
     """The whole job, small: render built-in shapes, train, test, table, gallery. Minutes."""
     from partialbench.quickstart import quickstart as run
 
-    print(run(out, model, workers or os.cpu_count() or 1, stderr))
+    with continued_by("the same command"):
+        print(run(out, model, workers or os.cpu_count() or 1, stderr))
 
 
 def main() -> None:
@@ -206,9 +208,6 @@ def main() -> None:
     except PartialbenchError as error:
         stderr.print(f"[bold red]error:[/] {_escaped(str(error))}")
         sys.exit(1)
-    except KeyboardInterrupt:
-        stderr.print("interrupted; what was finished is kept, the same command continues it")
-        sys.exit(130)
 
 
 def _escaped(text: str) -> str:

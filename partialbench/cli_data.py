@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from partialbench import arguments, registry
-from partialbench.console import Json, given, print_result, stderr
+from partialbench.console import Json, continued_by, given, print_result, stderr
 from partialbench.errors import PartialbenchError
 
 commands = typer.Typer()
@@ -174,7 +174,7 @@ def _build(plan: Any, workers: int, scheduler: str | None) -> Any:
     def make_executor() -> Executor:
         return dask_cluster(scheduler) if scheduler else process_pool(workers)
 
-    with build_bar(stderr) as on_progress:
+    with continued_by("the same command"), build_bar(stderr) as on_progress:
         return build(plan, make_executor, workers, on_progress)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +15,16 @@ stdout = Console(highlight=False, soft_wrap=True)
 stderr = Console(stderr=True, highlight=False)
 
 Json = Annotated[bool, typer.Option("--json", help="print the result as JSON")]
+
+
+@contextlib.contextmanager
+def continued_by(what: str) -> Iterator[None]:
+    """Turns Ctrl-C into one line that says what continues the run, and exit status 130."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        stderr.print(f"interrupted; what was finished is kept, {what} continues it")
+        raise typer.Exit(130) from None
 
 
 def given(**options: Any) -> dict[str, Any]:

@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -68,6 +70,31 @@ def test_another_configuration_is_refused(rendered, meshes):
     out, _ = rendered
     run = partialbench(*RENDER, "--source", meshes, "--out", out, "--seed", 3, check=1)
     assert "seed: folder has 0, asked for 3" in run.stderr
+
+
+def test_ctrl_c_leaves_a_folder_that_the_same_command_completes(meshes, tmp_path):
+    """SIGINT goes to the whole process group, as a terminal sends it."""
+    command = [sys.executable, "-c", "from partialbench.cli import main; main()", *RENDER,
+               "--source", str(meshes), "--out", str(tmp_path / "data"), "--workers", "2",
+               "--rows-per-shard", "2", "--allow-failures"]  # fmt: skip
+    whole = tmp_path / "whole"
+    partialbench(*RENDER, "--source", meshes, "--out", whole, "--workers", 2, "--rows-per-shard", 2,
+                 "--allow-failures", check=0)  # fmt: skip
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    manifest = tmp_path / "data" / "manifest.json"
+    deadline = time.monotonic() + 120
+    while not manifest.exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 130, stderr
+    assert "interrupted; what was finished is kept" in stderr
+    assert "Traceback" not in stderr
+    assert json.loads(manifest.read_text())["state"] == "building"
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    assert {p.name: p.read_bytes() for p in (tmp_path / "data").glob("*.h5")} == {
+        p.name: p.read_bytes() for p in whole.glob("*.h5")
+    }
 
 
 def test_verify_proves_the_folder_against_its_source(rendered, meshes):

@@ -56,12 +56,20 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
         raise InputError(f"--workers must be at least 1, got {workers}")
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    return ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_start_worker,
-        initargs=(os.getpid(),),
-    )
+    # The processes are started here, with the signal held back: they inherit the mask, so Ctrl-C
+    # cannot hit them before they can ignore it, and here it is delivered a moment later.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        pool = ProcessPoolExecutor(
+            workers,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_start_worker,
+            initargs=(os.getpid(),),
+        )
+        pool.submit(os.getpid)
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+    return pool
 
 
 class DaskExecutor(Executor):
