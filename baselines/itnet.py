@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from baselines.pointnet import TransformNet
 from baselines.pointnet2 import PointNet2
-from baselines.points import full_precision, normalise
+from baselines.points import normalise
 from partialbench.benchmark.prediction import Prediction
 
 
@@ -47,17 +47,17 @@ class ITNetPointNet2(nn.Module):
         t = points.new_zeros(len(points), 3)
         for _ in range(self.iterations):
             moved = (points @ R.mT + t[:, None]).detach()
-            numbers = full_precision(self.transform(moved))
-            with torch.autocast(points.device.type, enabled=False):
-                wxyz = F.normalize(numbers[:, :4], dim=1)
-                R_step = roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(wxyz))
-                R, t = R_step @ R, (R_step @ t[..., None])[..., 0] + numbers[:, 4:]
+            numbers = self.transform(moved)
+            wxyz = F.normalize(numbers[:, :4], dim=1)
+            R_step = roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(wxyz))
+            R, t = R_step @ R, (R_step @ t[..., None])[..., 0] + numbers[:, 4:]
         return R, t
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
         points = normalise(points)
-        R, t = self.pose(points)
+        # The pose moves every point, and neighbourhoods change with it: no half precision here.
         with torch.autocast(points.device.type, enabled=False):
+            R, t = self.pose(points)
             moved = points @ R.mT + t[:, None]
         return Prediction(self.classifier.classify(moved))

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from baselines.pointnet import TransformNet
 from baselines.pointnet2 import PointNet2
-from baselines.points import full_precision, normalise
+from baselines.points import normalise
 from partialbench.benchmark.prediction import Prediction
 
 
@@ -29,7 +29,7 @@ class TNetPointNet2(nn.Module):
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
         points = normalise(points)
-        matrix = full_precision(self.transform(points)).view(-1, 3, 3)
+        # The matrix moves every point, and neighbourhoods change with it: no half precision here.
         with torch.autocast(points.device.type, enabled=False):
-            turned = points @ matrix
+            turned = points @ self.transform(points).view(-1, 3, 3)
         return Prediction(self.classifier.classify(turned))

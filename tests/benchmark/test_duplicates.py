@@ -64,7 +64,8 @@ def test_every_row_knows_what_its_object_was_made_from(folder):
 
 
 def test_the_record_has_the_scores_with_and_without_them(folder, tmp_path):
-    small = {"preset": "smoke", "device": "cpu", "num_points": 64, "epochs": 1}
+    small = {"preset": "smoke", "device": "cpu", "num_points": 64, "epochs": 1,
+             "max_train_clouds": None, "max_test_clouds": None}  # fmt: skip
     (record,) = run_eval(
         "tests.benchmark.tiny_models:Bare", folder, results_folder=tmp_path / "a", **small
     )
