@@ -189,14 +189,18 @@ def leaderboard(
 @app.command()
 def quickstart(
     out: Annotated[Path, typer.Option(help="where everything goes")] = Path("quickstart"),
-    model: Annotated[str, typer.Option(help="which model to train")] = "pointnet",
+    model: Annotated[
+        list[str] | None,
+        typer.Option(help="which model to train (repeat for more) [pointnet, papnet-steered]"),
+    ] = None,
     workers: Annotated[int, typer.Option(help="processes; 0: one per core")] = 0,
 ) -> None:
     """The whole job, small: render built-in shapes, train, test, table, gallery. Minutes."""
     from partialbench.quickstart import quickstart as run
 
+    chosen = model or ["pointnet", "papnet-steered"]
     with continued_by("the same command"):
-        print(run(out, model, workers or os.cpu_count() or 1, stderr))
+        print(run(out, chosen, workers or os.cpu_count() or 1, stderr))
 
 
 def main() -> None:
