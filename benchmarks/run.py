@@ -19,8 +19,7 @@ BENCHMARKS: dict[str, list[str]] = {
     "loader": ["benchmarks/loader.py"],
     "hpr": ["benchmarks/hpr.py", "speed"],
     "models": ["benchmarks/models.py"],
-    # As modules: in a script's own folder, "papnet" would be the benchmark, not the package.
-    "papnet": ["-m", "benchmarks.papnet"],
+    "papnet": ["-m", "benchmarks.released_papnet"],
     "steered": ["-m", "benchmarks.steered"],
     "harness": ["benchmarks/harness.py"],
 }

@@ -1,6 +1,6 @@
 """PAPNet against the way its release runs it: evaluation with k = 20, and a training step.
 
-    python -m benchmarks.papnet [--batch 4] [--threads 2] [--turns 2]
+    python -m benchmarks.released_papnet [--batch 4] [--threads 2] [--turns 2]
 
 Both are timed in turns on the same clouds in one process (the fastest of its turns each), float32
 and 64³; a last line runs ours in bfloat16 autocast and says how far its answers move.
