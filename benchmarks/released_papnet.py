@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import torch
 
@@ -24,7 +25,8 @@ from partialbench.geometry.bins import rotation_bins
 NUM_CLASSES = 40
 
 
-def step(model: PAPNet, batch: Batch) -> Callable[[], None]:
+def posed_step(model: Any, batch: Batch) -> Callable[[], None]:
+    """A training step of a model with its own loss, a pose in it."""
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-5)
 
     def run() -> None:
@@ -57,7 +59,7 @@ def main() -> None:
     write(f"{'pass':<22}{'ours':>9}{'released':>10}{'ratio':>8}\n")
     for name, make in (
         ("evaluation, k = 20", lambda model: forward(model, points)),
-        ("training step", lambda model: step(model, batch)),
+        ("training step", lambda model: posed_step(model, batch)),
     ):
         a, b = compare(make(ours), make(theirs), arguments.turns, device)
         write(f"{name:<22}{a * 1e3:>9.0f}{b * 1e3:>10.0f}{b / a:>8.2f}\n")

@@ -19,11 +19,10 @@ from torch import nn
 from baselines.points import normalise
 from benchmarks.models import compare, forward, training_step
 from benchmarks.reference_volumes import released_papnet
+from benchmarks.released_papnet import NUM_CLASSES, posed_step
 from partialbench import registry
 from partialbench.benchmark.prediction import Batch
 from partialbench.geometry.bins import rotation_bins
-
-NUM_CLASSES = 40
 
 
 def clouds(count: int, points: int) -> Batch:
@@ -33,18 +32,6 @@ def clouds(count: int, points: int) -> Batch:
     return Batch(
         normalise(cloud * torch.tensor([1.0, 0.7, 0.4])), torch.arange(count) % NUM_CLASSES, R, R
     )
-
-
-def posed_step(model: nn.Module, batch: Batch) -> Callable[[], None]:
-    """A training step of a model with its own loss, a pose in it."""
-    optimizer = torch.optim.Adam(model.parameters(), lr=1e-5)
-
-    def run() -> None:
-        optimizer.zero_grad()
-        model.train().training_loss(batch).backward()
-        optimizer.step()
-
-    return run
 
 
 def main() -> None:
