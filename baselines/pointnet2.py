@@ -47,7 +47,19 @@ MSG = (
     ),
 )
 CENTRES = (512, 128)
-"""Points sampled at the two levels."""
+"""Points sampled at the two levels, of clouds of 1,024 points or more."""
+PUBLISHED_POINTS = 1024
+
+
+def num_centres(points: int) -> tuple[int, int]:
+    """How many centres the two levels sample from a cloud of so many points.
+
+    Smaller clouds than the published 1,024 keep the published shares, a half and an eighth: more
+    centres than points would sample the same points again, at the published cost.
+    """
+    share = min(points, PUBLISHED_POINTS) / PUBLISHED_POINTS
+    first, second = (max(1, round(share * centres)) for centres in CENTRES)
+    return first, second
 
 
 class GroupLinear(Normed):
@@ -153,8 +165,9 @@ class PointNet2(nn.Module):
             start: (B,) where farthest point sampling starts; index 0 by default.
         """
         # Sampling the samples again would pick their first ones: one call serves both levels.
-        centres1 = gather(xyz, farthest_points(xyz, CENTRES[0], start))
-        centres2 = centres1[:, : CENTRES[1]]
+        first, second = num_centres(xyz.shape[1])
+        centres1 = gather(xyz, farthest_points(xyz, first, start))
+        centres2 = centres1[:, :second]
         x = self.sa1(xyz, features, centres1)
         x = self.sa2(centres1, x, centres2)
         if self.use_xyz:

@@ -16,6 +16,8 @@ _STEERED_RECIPE = Recipe(
     notes="This project's own. No augmentation but the protocol's.",
 )
 
+_STEERED_SHORT = {"optimizer": "adamw", "weight_decay": 0.01, "label_smoothing": 0.0}
+
 _STEERED_ENCODER = (
     "invariant features of each point: two layers over its 16 nearest neighbours and one over what "
     "they give, on distances, cosines and local steerable moments; no coordinate enters a weight",
@@ -47,6 +49,8 @@ CARDS: tuple[ModelCard, ...] = (
                 "in training carries noise of ±45° on each Euler angle."
             ),
         ),
+        # Its loss is its own: cross entropy without smoothing.
+        short={"epochs": 1, "label_smoothing": 0.0},
         published="papnet.published:from_published",
         paper_scores={"pm40": 83.5, "ps15": 91.5, "pm40>ps15": 56.0, "ps15>pm40": 54.6},
         choices=(
@@ -73,6 +77,7 @@ CARDS: tuple[ModelCard, ...] = (
         invariances=frozenset({"permutation"}),
         parameters={40: 988_088, 15: 978_463},
         recipe=_STEERED_RECIPE,
+        short=_STEERED_SHORT,
         choices=(
             *_STEERED_ENCODER,
             "the descriptor: 96 channels of every degree up to 3, point features pooled against "
@@ -92,6 +97,7 @@ CARDS: tuple[ModelCard, ...] = (
         invariances=frozenset({"permutation", "rotation"}),
         parameters={40: 989_386, 15: 979_761},
         recipe=_STEERED_RECIPE,
+        short=_STEERED_SHORT,
         choices=(
             *_STEERED_ENCODER,
             "the encoder and descriptor of papnet-steered; the norms of its channels, which no "

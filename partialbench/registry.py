@@ -47,6 +47,24 @@ class Recipe:
     notes: str = ""
 
 
+SHORT_RECIPE: Mapping[str, Any] = {
+    "optimizer": "adam",
+    "lr": 3e-3,
+    "weight_decay": 0.0,
+    "batch_size": 32,
+    "epochs": 8,
+    "schedule": "one-cycle",
+    "schedule_options": {},
+    "label_smoothing": 0.1,
+    "smoothing_over_others": False,
+}
+"""What a protocol of short trainings changes about every published recipe, the same for all.
+
+Published schedules are made for hundreds of epochs. Squeezed into a few, PointNet's staircase stops
+learning before it has begun.
+"""
+
+
 @dataclass(frozen=True)
 class ModelCard:
     """One literal, frozen entry of the model table.
@@ -60,6 +78,7 @@ class ModelCard:
         invariances: claimed of the class logits: "permutation", "rotation" (any), both or none.
         parameters: {num_classes: count}.
         recipe: published training recipe.
+        short: what this model changes about ``SHORT_RECIPE``.
         published: "module:convert" from a published state dict to ours, or "" where there is none.
         paper_scores: the paper's table 1: {"pm40": 68.8, "ps15": …, "pm40>ps15": …, …}.
         choices: what the publication leaves open and how it is settled here.
@@ -76,6 +95,7 @@ class ModelCard:
     invariances: frozenset[str] = frozenset()
     parameters: Mapping[int, int] = field(default_factory=dict)
     recipe: Recipe = field(default_factory=Recipe)
+    short: Mapping[str, Any] = field(default_factory=dict)
     published: str = ""
     paper_scores: Mapping[str, float] = field(default_factory=dict)
     choices: tuple[str, ...] = ()

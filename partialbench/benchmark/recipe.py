@@ -12,7 +12,7 @@ from torch.optim import Optimizer
 
 from partialbench.benchmark.protocol import Protocol
 from partialbench.errors import InputError
-from partialbench.registry import Recipe, close_matches
+from partialbench.registry import SHORT_RECIPE, ModelCard, Recipe, close_matches
 
 OPTIMIZERS = ("adam", "adamw", "sgd")
 
@@ -40,6 +40,13 @@ def label_smoothing(recipe: Recipe, num_classes: int) -> float:
     if recipe.smoothing_over_others:
         return recipe.label_smoothing * num_classes / (num_classes - 1)
     return recipe.label_smoothing
+
+
+def of_protocol(card: ModelCard, protocol: Protocol) -> Recipe:
+    """The recipe with which a protocol trains a model: the published one or the short one."""
+    if protocol.recipe == "published":
+        return card.recipe
+    return override(card.recipe, {**SHORT_RECIPE, **card.short})
 
 
 def override(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:

@@ -26,6 +26,7 @@ from partialbench.benchmark import (
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark.memory import keep_freed_memory
 from partialbench.benchmark.protocol import Protocol
 from partialbench.benchmark.results import DataRecord, Result
 from partialbench.benchmark.split import balanced_subset, split_by_object
@@ -87,9 +88,11 @@ def run_eval(
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, got {seeds}")
 
+    if fabric.device.type == "cpu":
+        keep_freed_memory()
     protocol = protocols.protocol(preset, **protocol_overrides)
     card = models.card_of(model)
-    used = recipes.override(card.recipe, recipe or {})
+    used = recipes.override(recipes.of_protocol(card, protocol), recipe or {})
     train_set = ShardDataset(data, "train", protocol.num_points)
     test_sets = [
         ShardDataset(folder, "test", protocol.num_points)

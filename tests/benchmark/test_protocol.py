@@ -15,7 +15,7 @@ from partialbench.benchmark.protocol import PRESETS, Protocol, from_dict, protoc
 from partialbench.benchmark.schedule import Schedule, learning_rate
 from partialbench.benchmark.split import balanced_subset, split_by_object
 from partialbench.errors import InputError
-from partialbench.registry import Recipe
+from partialbench.registry import ModelCard, Recipe
 
 
 def test_the_digest_follows_what_is_done_and_not_its_name():
@@ -201,10 +201,22 @@ def test_every_registered_recipe_can_be_made():
 
     model = nn.Linear(2, 2)
     for card in registry.cards().values():
-        schedule = Schedule(card.recipe, 3)
-        optimizer = recipes.make_optimizer(model, card.recipe)
-        for progress in (0.0, 0.5, 0.99):
-            assert schedule.apply(optimizer, model, progress) > 0
+        for preset in ("mini", "paper"):
+            recipe = recipes.of_protocol(card, protocol(preset))
+            schedule = Schedule(recipe, 3)
+            optimizer = recipes.make_optimizer(model, recipe)
+            for progress in (0.0, 0.5, 0.99):
+                assert schedule.apply(optimizer, model, progress) > 0
+
+
+def test_a_short_protocol_gives_every_model_the_short_recipe():
+    card = ModelCard("m", "m:m", "M", "", recipe=Recipe(lr=0.1, epochs=250), short={"epochs": 2})
+    assert recipes.of_protocol(card, protocol("paper")) == card.recipe
+    short = recipes.of_protocol(card, protocol("mini"))
+    assert (short.lr, short.schedule, short.epochs) == (0.003, "one-cycle", 2)
+    # The budget caps the epochs, and so does the recipe.
+    assert protocol("mini").num_epochs(short, 30_000) == 2
+    assert protocol("mini").num_epochs(short, 240_000) == 1
 
 
 def test_deviations_are_told_in_words():
