@@ -66,7 +66,7 @@ def single_views(count: int, points: int) -> Tensor:
     """(count, points, 3) normalised visible parts of built-in shapes, one class each."""
     rng = np.random.default_rng(0)
     source = ParametricShapes((1, 0))
-    objects = {ref.class_name: ref for ref in source.objects("train")}
+    objects = {source.class_names[ref.label]: ref for ref in source.objects("train")}
     clouds = []
     for name in CLASSES[:count]:
         whole = sample_surface(source.load(objects[name]), 4 * points, rng)

@@ -82,10 +82,11 @@ CARDS: tuple[ModelCard, ...] = (
             *_STEERED_ENCODER,
             "the descriptor: 96 channels of every degree up to 3, point features pooled against "
             "harmonics of the direction from the centroid and against the local moments",
-            "one hidden layer of 384 reads the descriptor turned to each of the 60 bins and scores "
-            "(pose, class) jointly; the class is the sum over poses, the pose the sum over classes",
-            "loss: CE of the class + 0.3 · CE of the joint with the paper's soft bins under the "
-            "symmetry map",
+            "one hidden layer of 384 reads the descriptor turned to each of 360 poses, the 60 bins "
+            "and the rotations farthest from them, and scores (pose, class) jointly; the class is "
+            "the sum over poses, the pose the sum over classes",
+            "loss: CE of the class + 0.3 · CE of the joint with a soft pose under the symmetry map, "
+            "e^(6·cos θ) at the angle θ from the label",
         ),
     ),
     ModelCard(

@@ -17,8 +17,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from baselines.steerable.fields import wigner_matrix
-from papnet.pose import bins
 from papnet.steered.descriptor import Descriptor
+from papnet.steered.poses import pose_grid
 
 
 def wigner_entries(rotation: Tensor, lmax: int) -> Tensor:
@@ -34,9 +34,12 @@ class JointHead(nn.Module):
     Args:
         channels, width, lmax: of the descriptor.
         hidden: H.
+        poses: how many poses are tried, see ``pose_grid``.
     """
 
-    def __init__(self, channels: int, width: int, lmax: int, hidden: int, num_classes: int) -> None:
+    def __init__(
+        self, channels: int, width: int, lmax: int, hidden: int, num_classes: int, poses: int
+    ) -> None:
         super().__init__()
         self.lmax = lmax
         fan_in = channels * (lmax + 1) ** 2
@@ -47,9 +50,9 @@ class JointHead(nn.Module):
         self.invariant = nn.Linear(width, hidden, bias=False)
         self.norm = nn.BatchNorm1d(hidden)
         self.score = nn.Linear(hidden, num_classes)
-        self.bin_entries: Tensor
-        entries = wigner_entries(bins(torch.zeros(0, dtype=torch.float64)), lmax)
-        self.register_buffer("bin_entries", entries.float(), persistent=False)
+        self.entries: Tensor
+        entries = wigner_entries(torch.tensor(pose_grid(poses)), lmax)
+        self.register_buffer("entries", entries.float(), persistent=False)
 
     def coefficients(self, x: Descriptor) -> Tensor:
         """G: (B,Σ(2l+1)²,H)."""
@@ -63,11 +66,11 @@ class JointHead(nn.Module):
         """Scores (B,P,K) under P poses.
 
         Args:
-            rotation: (B,P,3,3) object → camera; by default the 60 bins.
+            rotation: (B,P,3,3) object → camera; by default those of ``pose_grid``.
         """
         G = self.coefficients(x)
         if rotation is None:
-            entries = self.bin_entries
+            entries = self.entries
         else:
             entries = wigner_entries(rotation.to(G.device), self.lmax)
         h = entries.to(G.dtype) @ G + self.invariant(x.invariant)[:, None]

@@ -1,9 +1,9 @@
 """``papnet-steered`` and its twin without pose, ``papnet-steered-nopose``.
 
 The paper's idea is kept: an equivariant descriptor of the cloud, brought to the canonical pose and
-classified there. What differs: the descriptor is exactly equivariant, all 60 poses are tried, and
-class and pose share one distribution p(pose, class), of which the class's probability is the sum
-over poses and the pose's the sum over classes.
+classified there. What differs: the descriptor is exactly equivariant, all poses of a grid are tried,
+and class and pose share one distribution p(pose, class), of which the class's probability is the
+sum over poses and the pose's the sum over classes.
 
 Source: Xu et al., arXiv:2012.10042v2, for the idea, the bins and the soft targets. The architecture
 is this project's own.
@@ -11,16 +11,14 @@ is this project's own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import nll_loss
 
 from baselines.points import full_precision
-from papnet.pose import SOFT_WEIGHTS, bins
 from papnet.steered.descriptor import Describe, Descriptor
 from papnet.steered.head import InvariantHead, JointHead
+from papnet.steered.poses import pose_grid, share_of_bins
 from partialbench.benchmark.prediction import Batch, Prediction
 from partialbench.errors import InputError
 
@@ -37,8 +35,9 @@ class PAPNetSteered(nn.Module):
         width: features of a point.
         k: nearest neighbours of a point.
         pose_weight: λ of the pose in the loss; 0 leaves the pose to be found as it helps the class.
-        soft_targets: weights of the bins nearest to the label, nearest first, summing to 1; (1,) is
-            the nearest alone.
+        poses: how many poses are tried: the 60 bins, or 360 with the rotations between them.
+        concentration: κ of the soft target, which falls with the angle θ from the label as
+            exp(2κ·cos θ); 3 halves it at 28°, as far as a label can be from the grid of 360.
     """
 
     def __init__(
@@ -50,26 +49,31 @@ class PAPNetSteered(nn.Module):
         width: int = 128,
         k: int = 16,
         pose_weight: float = 0.3,
-        soft_targets: Sequence[float] = SOFT_WEIGHTS,
+        poses: int = 360,
+        concentration: float = 3.0,
     ) -> None:
         super().__init__()
         _check(lmax, channels, width, k)
+
         if pose_weight < 0:
             raise InputError(f"pose_weight must not be negative, got {pose_weight}")
-        if not soft_targets or min(soft_targets) < 0 or abs(sum(soft_targets) - 1) > 1e-6:
-            raise InputError(f"soft_targets must be weights that sum to 1, got {soft_targets}")
-        self.pose_weight, self.soft_targets = pose_weight, tuple(soft_targets)
+        if concentration <= 0:
+            raise InputError(f"concentration must be positive, got {concentration}")
+        self.pose_weight, self.concentration = pose_weight, concentration
         self.describe = Describe(lmax, channels, width, k)
-        self.head = JointHead(channels, width, lmax, HIDDEN, num_classes)
-        self.bins: Tensor
-        self.register_buffer("bins", bins(torch.zeros(0)).flatten(1), persistent=False)
+        self.head = JointHead(channels, width, lmax, HIDDEN, num_classes, poses)
+        self.poses: Tensor
+        self.share: Tensor
+        grid, share = (torch.tensor(table(poses)).float() for table in (pose_grid, share_of_bins))
+        self.register_buffer("poses", grid.flatten(1), persistent=False)
+        self.register_buffer("share", share, persistent=False)
 
     def descriptor(self, points: Tensor) -> Descriptor:
         """(B,N,3) → the steerable descriptor."""
         return self.describe(points)
 
     def joint(self, points: Tensor) -> Tensor:
-        """log p(pose bin, class), (B,60,K), of clouds (B,N,3)."""
+        """log p(pose, class), (B,P,K) over the grid's poses, of clouds (B,N,3)."""
         return _log_joint(self.head(self.describe(points)))
 
     def forward(self, points: Tensor, rotation: Tensor | None = None) -> Prediction:
@@ -77,11 +81,11 @@ class PAPNetSteered(nn.Module):
 
         Args:
             points: (B,N,3) camera frame, any scale and position.
-            rotation: (B,3,3) object → camera, where the pose is known; by default all bins count.
+            rotation: (B,3,3) object → camera, where the pose is known; by default all poses count.
 
         Returns:
-            log-probabilities of the class (B,K), the sum over the bins or under the given pose,
-            and of the bin (B,60).
+            log-probabilities of the class (B,K), the sum over the poses or under the given one, and
+            of the bin (B,60), to which the poses nearest to it count.
         """
         x = self.describe(points)
         joint = _log_joint(self.head(x))
@@ -94,20 +98,20 @@ class PAPNetSteered(nn.Module):
                     f"got {tuple(rotation.shape)}"
                 )
             classes = full_precision(self.head(x, rotation[:, None])[:, 0]).log_softmax(-1)
-        return Prediction(classes, joint.logsumexp(2))
+        # The floor keeps the logarithm finite where every pose of a bin has underflowed.
+        bins = (joint.logsumexp(2).exp() @ self.share).clamp_min(1e-30).log()
+        return Prediction(classes, bins)
 
     def training_loss(self, batch: Batch) -> Tensor:
-        """CE of the class + λ·CE of (soft bins, class), a scalar."""
+        """CE of the class + λ·CE of (soft pose, class), a scalar."""
         joint = self.joint(batch.points)
         loss = nll_loss(joint.logsumexp(1), batch.label)
         if self.pose_weight:
             of_label = joint[torch.arange(len(joint), device=joint.device), :, batch.label]
-            # The trace of R_bᵀ·R, which falls as the angle between them rises.
-            similarity = batch.mapped_rotation.to(self.bins.dtype).flatten(1) @ self.bins.T
-            order = similarity.topk(len(self.soft_targets)).indices
-            nearest = of_label.gather(1, order)
-            weights = nearest.new_tensor(self.soft_targets)
-            loss = loss - self.pose_weight * (nearest @ weights).mean()
+            # tr(R_pᵀ·R) = 1 + 2·cos θ.
+            similarity = batch.mapped_rotation.to(self.poses.dtype).flatten(1) @ self.poses.T
+            target = (self.concentration * similarity).softmax(1)
+            loss = loss - self.pose_weight * (target * of_label).sum(1).mean()
         return loss
 
 

@@ -8,12 +8,14 @@ import functools
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from baselines.steerable.fields import wigner_matrix
 from papnet.steered.descriptor import Describe, Descriptor
 from papnet.steered.head import JointHead
 from papnet.steered.model import PAPNetSteered, PAPNetSteeredNoPose
+from papnet.steered.poses import pose_grid, share_of_bins
 from partialbench.benchmark.prediction import Batch
 from partialbench.errors import InputError
 from partialbench.geometry.bins import NUM_BINS, rotation_bins, soft_bin_target
@@ -101,13 +103,14 @@ def test_position_scale_and_order_do_not_matter() -> None:
 
 
 def test_turning_by_a_bin_permutes_the_joint_scores() -> None:
-    # The bins are kept in float32, hence the tolerance.
+    # The poses are kept in float32, hence the tolerance.
     bins = torch.from_numpy(rotation_bins().copy())
+    grid = torch.from_numpy(pose_grid(360).copy())
     with torch.no_grad():
         before = posed().joint(clouds())
         for turn in bins[[1, 17, 42]]:
             # What was seen under R is now seen under turn·R.
-            moved = torch.cdist((turn @ bins).flatten(1), bins.flatten(1)).argmin(1)
+            moved = torch.cdist((turn @ grid).flatten(1), grid.flatten(1)).argmin(1)
             after = posed().joint(clouds() @ turn.T)
             torch.testing.assert_close(after[:, moved], before, atol=1e-7, rtol=0)
             torch.testing.assert_close(after.logsumexp(1), before.logsumexp(1), atol=1e-7, rtol=0)
@@ -117,7 +120,7 @@ def test_turning_by_a_bin_permutes_the_joint_scores() -> None:
 def test_the_head_reads_the_descriptor_in_the_objects_frame() -> None:
     """Fourier coefficients against a turned descriptor, pose by pose."""
     torch.manual_seed(1)
-    head = JointHead(5, 6, 2, 8, CLASSES).double().eval()
+    head = JointHead(5, 6, 2, 8, CLASSES, 60).double().eval()
     x = Descriptor(
         {degree: torch.randn(2, 5, 2 * degree + 1, dtype=torch.float64) for degree in range(3)},
         torch.randn(2, 6, dtype=torch.float64),
@@ -136,12 +139,42 @@ def test_the_head_reads_the_descriptor_in_the_objects_frame() -> None:
 def test_class_and_pose_are_the_marginals_of_one_distribution() -> None:
     with torch.no_grad():
         joint, prediction = posed().joint(clouds()), posed()(clouds())
-    assert joint.shape == (4, NUM_BINS, CLASSES)
+    assert joint.shape == (4, 360, CLASSES)
     p = joint.exp()
     assert prediction.pose_logits is not None
     torch.testing.assert_close(p.sum((1, 2)), torch.ones(4, dtype=torch.float64))
     torch.testing.assert_close(prediction.class_logits.exp(), p.sum(1))
-    torch.testing.assert_close(prediction.pose_logits.exp(), p.sum(2))
+    of_bins = p.sum(2) @ torch.from_numpy(share_of_bins(360).copy())
+    torch.testing.assert_close(prediction.pose_logits.exp(), of_bins, atol=1e-7, rtol=0)
+
+
+def test_the_bins_alone_can_be_the_poses() -> None:
+    torch.manual_seed(0)
+    model = PAPNetSteered(CLASSES, poses=60).double().eval()
+    with torch.no_grad():
+        joint, prediction = model.joint(clouds()), model(clouds())
+    assert joint.shape == (4, NUM_BINS, CLASSES)
+    assert prediction.pose_logits is not None
+    torch.testing.assert_close(prediction.pose_logits, joint.logsumexp(2), atol=1e-9, rtol=0)
+
+
+def test_the_grid_of_poses_covers_the_rotations_evenly() -> None:
+    grid, bins = pose_grid(360), rotation_bins()
+    assert np.array_equal(grid[:60], bins)
+    assert np.allclose(grid @ grid.swapaxes(1, 2), np.eye(3))
+    assert np.allclose(np.linalg.det(grid), 1)
+
+    def farthest_deg(poses: np.ndarray) -> float:
+        R = Rotation.random(20_000, random_state=0).as_matrix()
+        best = np.einsum("nij,pij->np", R, poses).max(1)
+        return float(np.degrees(np.arccos((best.min() - 1) / 2)))
+
+    assert 26 < farthest_deg(grid) < 28
+    assert 42 < farthest_deg(bins) < 45
+    share = share_of_bins(360)
+    assert np.allclose(share.sum(1), 1)
+    assert np.allclose(share.sum(0), 6), "every bin has as many poses"
+    assert (np.einsum("pij,bij->pb", grid, bins)[share > 0] >= 1 + 2 * np.cos(np.pi / 4)).all()
 
 
 def test_a_given_pose_conditions_the_class() -> None:
@@ -166,11 +199,16 @@ def test_the_loss_is_both_cross_entropies() -> None:
     label, R, mapped = torch.tensor([1, 0, 6, 3]), turns(4, seed=3), turns(4, seed=4)
     loss = model.training_loss(Batch(clouds(), label, R, mapped))
     joint = copy.deepcopy(posed()).train().joint(clouds()).detach().numpy()
-    target = soft_bin_target(mapped.numpy())
+    angle = Rotation.from_matrix(
+        mapped.numpy()[:, None].swapaxes(2, 3) @ pose_grid(360)
+    ).magnitude()
+    target = np.exp(2 * 3 * np.cos(angle))
+    target /= target.sum(axis=1, keepdims=True)
     of_label = joint[np.arange(4), :, label.numpy()]
     class_loss = -np.log(np.exp(of_label).sum(axis=1)).mean()
     pose_loss = -(target * of_label).sum(axis=1).mean()
-    assert loss.item() == pytest.approx(class_loss + 0.3 * pose_loss, abs=1e-9)
+    # The poses are kept in float32.
+    assert loss.item() == pytest.approx(class_loss + 0.3 * pose_loss, abs=1e-7)
     model.pose_weight = 0.0
     assert model.training_loss(Batch(clouds(), label, R, mapped)).item() == pytest.approx(
         class_loss, abs=1e-9
@@ -239,7 +277,8 @@ def test_the_twin_has_the_same_encoder_and_about_as_many_parameters() -> None:
         ({"lmax": 4}, "lmax must be 1, 2 or 3, got 4"),
         ({"k": 3}, "k must be at least 8, got 3"),
         ({"pose_weight": -1.0}, "pose_weight must not be negative, got -1"),
-        ({"soft_targets": (0.5, 0.2)}, "weights that sum to 1, got"),
+        ({"concentration": 0.0}, "concentration must be positive, got 0"),
+        ({"poses": 100}, r"poses must be one of \(60, 360\), got 100"),
     ],
 )
 def test_bad_options_are_refused(options: dict, message: str) -> None:
