@@ -1,6 +1,6 @@
 """Does a network's answer for a turned cloud equal its turned answer? PAPNet's method rests on it.
 
-    python -m benchmarks.commutation [--clouds 6] [--figure docs/images/commutation.png]
+    python -m benchmarks.commutation [--clouds 4] [--figure docs/images/commutation.png]
 
 For a rotation R of a given angle about a random axis, the relative error ‖Φ(R·P) − T_R Φ(P)‖/‖Φ(P)‖
 over clouds P, for the backbone of the release, the same backbone with its pooling and upsampling
@@ -189,18 +189,18 @@ def draw(curves: Curves, path: Path) -> None:
             angle, value = np.abs(vector).max(), max(curve[turn], 1e-8)
             axes.plot(angle, value, "s", color=colours[name], ms=4, mfc="white")
     axes.set(
-        yscale="log", ylim=(5e-9, 3), xlabel="angle of the rotation (°)", ylabel="relative error",
+        yscale="log", ylim=(5e-9, 20), xlabel="angle of the rotation (°)", ylabel="relative error",
         xticks=range(0, 181, 30),
     )  # fmt: skip
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8, ncol=2, loc="center right", title="squares: turns of the grid")
+    axes.legend(fontsize=7, loc=(0.02, 0.29), title="squares: turns of the grid", title_fontsize=8)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--clouds", type=int, default=6, choices=range(1, len(CLASSES) + 1))
+    parser.add_argument("--clouds", type=int, default=4, choices=range(1, len(CLASSES) + 1))
     parser.add_argument("--figure", type=Path, help="draw the curves into this file")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()

@@ -47,6 +47,11 @@ def depth_images_by_view(points: Tensor) -> Tensor:
 
 
 class PublishedSimpleView(SimpleView):
+    def __init__(self, num_classes: int) -> None:
+        super().__init__(num_classes)
+        # The layout in which the publication leaves its weights; ours are channels last.
+        self.trunk.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
+
     def forward(self, points: Tensor) -> Prediction:
         images = depth_images_by_view(normalise(points)).flatten(0, 1)[:, None]
         features = self.feature_norm(self.trunk(images).mean((2, 3)))

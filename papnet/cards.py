@@ -85,8 +85,8 @@ CARDS: tuple[ModelCard, ...] = (
             "one hidden layer of 384 reads the descriptor turned to each of 360 poses, the 60 bins "
             "and the rotations farthest from them, and scores (pose, class) jointly; the class is "
             "the sum over poses, the pose the sum over classes",
-            "loss: CE of the class + 0.3 · CE of the joint with a soft pose under the symmetry map, "
-            "e^(6·cos θ) at the angle θ from the label",
+            "loss: CE of the class + 0.3 · CE of the joint with a soft pose under the symmetry "
+            "map, e^(6·cos θ) at the angle θ from the label",
         ),
     ),
     ModelCard(

@@ -101,9 +101,12 @@ def _digest(family: Family) -> str:
     """Digest of the code a family is made by: its module and what that takes from its package."""
     module = sys.modules[family.build.__module__]
     origins = {getattr(value, "__module__", None) for value in vars(module).values()}
-    names = {module.__name__, "renderers.shapes.solids", "renderers.shapes.family"} | {
-        origin for origin in origins if origin and origin.startswith("renderers.shapes.")
-    }
+    shared = {f"renderers.shapes.{name}" for name in ("family", "outlines", "solids")}
+    names = (
+        {module.__name__}
+        | shared
+        | {origin for origin in origins if origin and origin.startswith("renderers.shapes.")}
+    )
     digest = hashlib.sha256(str(GENERATION).encode())
     for name in sorted(names):
         digest.update(Path(str(sys.modules[name].__file__)).read_bytes())

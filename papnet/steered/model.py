@@ -1,9 +1,9 @@
 """``papnet-steered`` and its twin without pose, ``papnet-steered-nopose``.
 
 The paper's idea is kept: an equivariant descriptor of the cloud, brought to the canonical pose and
-classified there. What differs: the descriptor is exactly equivariant, all poses of a grid are tried,
-and class and pose share one distribution p(pose, class), of which the class's probability is the
-sum over poses and the pose's the sum over classes.
+classified there. What differs: the descriptor is exactly equivariant, all poses of a grid are
+tried, and class and pose share one distribution p(pose, class), of which the class's probability is
+the sum over poses and the pose's the sum over classes.
 
 Source: Xu et al., arXiv:2012.10042v2, for the idea, the bins and the soft targets. The architecture
 is this project's own.

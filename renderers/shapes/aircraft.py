@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, body, both, box, cylinder, join, loft, rod, smooth
+from renderers.shapes.outlines import smooth
+from renderers.shapes.solids import Solid, body, both, box, cylinder, join, loft, rod
 
 # A symmetric aerofoil, chord 1 from nose to tail, unit thickness; ordered for a loft along +y.
 _AEROFOIL = np.array([

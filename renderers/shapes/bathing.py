@@ -7,17 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import (
-    Solid,
-    box,
-    cylinder,
-    ellipsoid,
-    four,
-    loft,
-    smooth,
-    superellipse,
-    tube,
-)
+from renderers.shapes.outlines import smooth, superellipse
+from renderers.shapes.solids import Solid, box, cylinder, ellipsoid, four, loft, tube
 
 
 def _ring(outline: np.ndarray, z: float, dy: float = 0.0) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import smooth
 from renderers.shapes.solids import (
     Solid,
     beam,
@@ -17,7 +18,6 @@ from renderers.shapes.solids import (
     join,
     rod,
     rounded_box,
-    smooth,
     tube,
 )
 

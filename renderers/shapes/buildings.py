@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import smooth
 from renderers.shapes.solids import (
     Solid,
     beam,
@@ -18,7 +19,6 @@ from renderers.shapes.solids import (
     ring,
     rod,
     sheet,
-    smooth,
     tube,
 )
 

@@ -8,18 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import (
-    Solid,
-    beam,
-    both,
-    box,
-    ellipsoid,
-    extrude,
-    four,
-    join,
-    rod,
-    superellipse,
-)
+from renderers.shapes.outlines import superellipse
+from renderers.shapes.solids import Solid, beam, both, box, ellipsoid, extrude, four, join, rod
 
 Span = tuple[float, float]
 

@@ -7,18 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import (
-    Solid,
-    body,
-    both,
-    box,
-    cylinder,
-    four,
-    join,
-    loft,
-    rounded_box,
-    smooth,
-)
+from renderers.shapes.outlines import smooth
+from renderers.shapes.solids import Solid, body, both, box, cylinder, four, join, loft, rounded_box
 
 
 def _wheel(radius: float, width: float) -> Solid:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, cylinder, ellipsoid, extrude, revolve, smooth, tube
+from renderers.shapes.outlines import smooth
+from renderers.shapes.solids import Solid, cylinder, ellipsoid, extrude, revolve, tube
 
 
 def hollow(outside: NDArray[np.float64], wall: float, floor: float) -> NDArray[np.float64]:

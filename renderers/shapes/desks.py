@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Extent, Solid, beam, both, box, cylinder, join, span
+from renderers.shapes.outlines import Extent, span
+from renderers.shapes.solids import Solid, beam, both, box, cylinder, join
 
 
 def _pedestal(p: Draw, x: Extent, y: Extent, z: tuple[float, float], hollow: bool) -> Solid:

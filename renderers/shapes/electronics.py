@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import rounded_rectangle, smooth
 from renderers.shapes.solids import (
     Solid,
     beam,
@@ -20,8 +21,6 @@ from renderers.shapes.solids import (
     ring,
     rod,
     rounded_box,
-    rounded_rectangle,
-    smooth,
     tube,
 )
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, box, circle, cylinder, extrude, join, rod, smooth
+from renderers.shapes.outlines import circle, smooth
+from renderers.shapes.solids import Solid, box, cylinder, extrude, join, rod
 
 
 def _mirrored_outline(half: np.ndarray) -> np.ndarray:

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, box, extrude, join, rounded_rectangle, sheet
+from renderers.shapes.outlines import rounded_rectangle
+from renderers.shapes.solids import Solid, box, extrude, join, sheet
 
 _CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
 

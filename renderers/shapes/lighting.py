@@ -7,18 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import (
-    Solid,
-    box,
-    cylinder,
-    ellipsoid,
-    join,
-    revolve,
-    ring,
-    rod,
-    smooth,
-    tube,
-)
+from renderers.shapes.outlines import smooth
+from renderers.shapes.solids import Solid, box, cylinder, ellipsoid, join, revolve, ring, rod, tube
 
 
 def _shade(p: Draw, height: float, radius: float) -> Solid:

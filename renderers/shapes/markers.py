@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, box, circle, extrude, revolve, ring
+from renderers.shapes.outlines import circle
+from renderers.shapes.solids import Solid, box, extrude, revolve, ring
 
 
 @family(

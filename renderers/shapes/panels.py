@@ -8,16 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import (
-    Solid,
-    both,
-    box,
-    ellipsoid,
-    extrude,
-    join,
-    rod,
-    sheet,
-)
+from renderers.shapes.solids import Solid, both, box, ellipsoid, extrude, join, rod, sheet
 
 
 def _drape(p: Draw, edge: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Solid:

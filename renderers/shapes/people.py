@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import smooth, superellipse
 from renderers.shapes.solids import (
     Solid,
     box,
@@ -18,8 +19,6 @@ from renderers.shapes.solids import (
     revolve,
     rounded_box,
     sheet,
-    smooth,
-    superellipse,
     tube,
 )
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import smooth
 from renderers.shapes.solids import (
     Solid,
     box,
@@ -17,7 +18,6 @@ from renderers.shapes.solids import (
     join,
     revolve,
     sheet,
-    smooth,
     tube,
 )
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from renderers.shapes.crockery import hollow
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import smooth
 from renderers.shapes.plants import leaf, scattered
-from renderers.shapes.solids import Solid, box, cylinder, four, join, revolve, smooth
+from renderers.shapes.solids import Solid, box, cylinder, four, join, revolve
 
 
 def _foliage(p: Draw, spread: float) -> Iterable[Solid]:

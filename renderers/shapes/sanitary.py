@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import rounded_rectangle, smooth, superellipse
 from renderers.shapes.solids import (
     Solid,
     box,
@@ -18,10 +19,7 @@ from renderers.shapes.solids import (
     revolve,
     rod,
     rounded_box,
-    rounded_rectangle,
     sheet,
-    smooth,
-    superellipse,
     tube,
 )
 

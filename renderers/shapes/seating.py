@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import rounded_rectangle, smooth
 from renderers.shapes.solids import (
     Solid,
     beam,
@@ -19,9 +20,7 @@ from renderers.shapes.solids import (
     ring,
     rod,
     rounded_box,
-    rounded_rectangle,
     sheet,
-    smooth,
     tube,
 )
 

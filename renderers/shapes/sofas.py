@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, box, circle, extrude, four, rounded_box
+from renderers.shapes.outlines import circle
+from renderers.shapes.solids import Solid, box, extrude, four, rounded_box
 
 
 def cushion(p: Draw, x: tuple[float, float], y: tuple[float, float], z: tuple[float, float],

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from renderers.shapes.family import Draw, family
+from renderers.shapes.outlines import Extent, circle, rounded_rectangle, smooth, superellipse
 from renderers.shapes.solids import (
-    Extent,
     Solid,
     beam,
     box,
-    circle,
     cylinder,
     extrude,
     four,
@@ -21,10 +20,7 @@ from renderers.shapes.solids import (
     revolve,
     ring,
     rod,
-    rounded_rectangle,
     sheet,
-    smooth,
-    superellipse,
     tube,
 )
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from renderers.shapes.family import Draw, family
-from renderers.shapes.solids import Solid, box, cylinder, revolve, smooth, tube
+from renderers.shapes.outlines import smooth
+from renderers.shapes.solids import Solid, box, cylinder, revolve, tube
 
 
 @family(

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from renderers.shapes.outlines import arc, circle, rounded_rectangle, smooth, superellipse
 from renderers.shapes.solids import (
     Solid,
-    arc,
     beam,
     body,
     both,
     box,
-    circle,
     cylinder,
     difference,
     ellipsoid,
@@ -29,10 +28,7 @@ from renderers.shapes.solids import (
     ring,
     rod,
     rounded_box,
-    rounded_rectangle,
     sheet,
-    smooth,
-    superellipse,
     sweep,
     tube,
 )
