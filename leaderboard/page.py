@@ -16,6 +16,7 @@ from leaderboard.comparison import Comparison
 from leaderboard.gallery import Sample
 from leaderboard.layouts import Layout
 from leaderboard.words import (
+    budget,
     crosses,
     describe,
     duplicates,
@@ -115,6 +116,7 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
             if share is not None
         ],
         "training": first.training,
+        "budget": budget(first),
         "curves": [
             (label, _polyline(first.training["curve"][key]), first.training["curve"][key])
             for key, label in (("train_loss", "training loss"),

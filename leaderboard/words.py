@@ -44,6 +44,12 @@ def engineering(count: float) -> str:
     return f"{count:.0f}"
 
 
+def budget(result: Result) -> str:
+    """What its training was given: clouds seen, repeats counted, and minutes on its hardware."""
+    training = result.training
+    return f"{engineering(training['clouds_seen'])} in {training['seconds'] / 60:.0f} min"
+
+
 def describe(column: Column) -> str:
     """What every row of the column was trained and tested on, in one sentence."""
     first = next(iter(column.cells.values())).results[0]
@@ -51,7 +57,8 @@ def describe(column: Column) -> str:
     return (
         f"Trained on {train.clouds:,} clouds of {train.objects:,} objects ({train.id}, "
         f"{train.digest[:12]}), tested on {first.scores['clouds']:,} clouds of "
-        f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}); protocol "
+        f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}), "
+        f"{first.protocol['num_points']:,} points a cloud; protocol "
         f"{first.protocol['preset']} ({first.protocol_digest[:12]})."
     )
 
