@@ -21,7 +21,7 @@ def build_leaderboard(
     check: bool = False,
     data: Sequence[Path | str] = (),
 ) -> list[Path]:
-    """Writes leaderboard.md, .csv, .tex and .html, and figures/*.svg and *.png; returns the paths.
+    """Writes leaderboard.md, .csv, .tex and .html, differences.csv and figures/*.svg and *.png.
 
     The same records (and data) give the same bytes.
 
@@ -30,6 +30,9 @@ def build_leaderboard(
         data: data folders the records were tested on: the page shows clouds on which the models
             disagree from those whose digest fits. They become part of the page; whoever passes it
             on needs the right to.
+
+    Returns:
+        the paths.
 
     Raises:
         InputError: no records, or some that cannot be trusted: all that is wrong is listed, and
@@ -60,6 +63,7 @@ def build_leaderboard(
     contents = {
         "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
+        "differences.csv": tables.differences_as_csv(board, comparisons).encode(),
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
         "leaderboard.html": page.as_html(board, comparisons, laid_out, svgs, galleries).encode(),
     }

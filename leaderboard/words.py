@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from leaderboard.board import Cell, Column
 from partialbench.benchmark.results import Result
 
@@ -34,6 +36,12 @@ def reported(column: Column, result: Result) -> str:
 def percent(mean: float, std: float | None) -> str:
     """A share as "83.5" or "83.5 ± 0.4"."""
     return f"{100 * mean:.1f}" if std is None else f"{100 * mean:.1f} ± {100 * std:.1f}"
+
+
+def difference(found: tuple[float, float, float]) -> str:
+    """A difference of shares and its interval as "3.1 (1.4 – 4.8)"."""
+    mean, low, high = (100 * share for share in found)
+    return f"{mean:.1f}" if math.isnan(low) else f"{mean:.1f} ({low:.1f} – {high:.1f})"
 
 
 def engineering(count: float) -> str:

@@ -228,6 +228,16 @@ def test_runs_in_bfloat16_autocast(name: str) -> None:
     out.class_logits.float().logsumexp(dim=-1).sum().backward()
 
 
+@pytest.mark.parametrize("name", ["pointnet", "dgcnn", "papnet-steered"])
+def test_can_be_traced_by_torch_compile(name: str) -> None:
+    """The traced graphs, run without a code generator, give the same answers."""
+    torch.compiler.reset()
+    points = clouds()[:2, :96]
+    with torch.no_grad():
+        traced = torch.compile(settled(name), backend="aot_eager")(points).class_logits
+    torch.testing.assert_close(traced, logits(settled(name), points))
+
+
 @every_model
 def test_state_survives_save_and_load(name: str) -> None:
     file = io.BytesIO()

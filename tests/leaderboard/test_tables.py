@@ -94,6 +94,25 @@ def test_the_same_records_give_the_same_bytes(folder, tmp_path):
     assert {"leaderboard.md", "leaderboard.csv", "leaderboard.tex"} <= first.keys()
 
 
+def test_every_pair_of_rows_is_compared_with_an_interval(folder, tmp_path):
+    build_leaderboard(folder, tmp_path)
+    with open(tmp_path / "differences.csv", newline="") as file:
+        lines = [line for line in csv.DictReader(file) if "→" not in line["column"]]
+    assert len(lines) == 3
+    column = next(c for c in make_board(results.read_folder(folder)) if "→" not in c.title)
+    for line in lines:
+        ahead = column.cells[line["row"]].mean() - column.cells[line["other"]].mean()
+        assert float(line["difference"]) == pytest.approx(ahead, abs=1e-6)
+        assert float(line["low"]) <= ahead <= float(line["high"])
+    poor = {line["row"]: line for line in lines if line["other"] == "poor"}
+    assert float(poor["good"]["low"]) > 0, "the interval of a clear difference excludes zero"
+    assert float(poor["good"]["p_holm"]) < 0.05
+    (best,) = (r for r in ranked(column)[:1])
+    text = (tmp_path / "leaderboard.md").read_text()
+    shown = f"{100 * float(poor[best]['difference']):.1f} ("
+    assert any(shown in row for row in text.splitlines() if row.startswith("| POOR |"))
+
+
 def test_the_tables_say_what_the_records_say(folder, tmp_path):
     build_leaderboard(folder, tmp_path)
     text = (tmp_path / "leaderboard.md").read_text()
