@@ -22,6 +22,7 @@ BENCHMARKS: dict[str, list[str]] = {
     "papnet": ["-m", "benchmarks.released_papnet"],
     "steered": ["-m", "benchmarks.steered"],
     "harness": ["benchmarks/harness.py"],
+    "memory": ["-m", "benchmarks.memory"],
 }
 
 

@@ -2,9 +2,9 @@
 
     python -m benchmarks.steered [--batch 2] [--points 1024] [--threads 2] [--turns 3]
 
-Evaluation decides over all 60 bins in ours and over the 20 best in the release's; a training step
-is the model's own loss. The two run in turns on the same clouds in one process; each figure is the
-fastest of its turns. The lines below compare ours, its pose-free twin and PointNet at 256 points.
+Evaluation decides over 360 poses in ours and over the 20 best of 60 in the release's; a training
+step is the model's own loss. The two run in turns on the same clouds in one process; each figure is
+the fastest of its turns. The lines below compare ours, its twin and PointNet at 256 points.
 """
 
 from __future__ import annotations
