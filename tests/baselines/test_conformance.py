@@ -143,14 +143,15 @@ def test_a_gradient_reaches_every_parameter(name: str) -> None:
 def test_eight_clouds_are_overfitted(name: str) -> None:
     """All eight are told apart in evaluation mode; a model of a wrong graph or gradient is not.
 
-    The voxel models take a 16³ grid here: on 64³ a hundred steps last an hour.
+    The voxel models take a small grid here: on 64³ a hundred steps last an hour.
     """
     torch.manual_seed(0)
-    model = registry.create(name, CLASSES, **({"grid": 16} if heavy(name) else {}))
+    grids = {"papnet": 16, "steerable-cnn": 8}
+    model = registry.create(name, CLASSES, **({"grid": grids[name]} if heavy(name) else {}))
     points, label = clouds(), torch.arange(8)
-    optimizer = torch.optim.Adam(model.parameters(), lr=1e-3)
-    # Most need 20 to 60 steps; what batch norm remembers of early steps takes longest to fade.
-    for step in range(400):
+    # The steerable CNN is published with a rate of 0.1.
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-2 if name == "steerable-cnn" else 1e-3)
+    for step in range(200):
         out = model.train()(points)
         loss = nn.functional.cross_entropy(out.class_logits, label)
         if out.penalty is not None:
@@ -158,9 +159,21 @@ def test_eight_clouds_are_overfitted(name: str) -> None:
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        if step % 10 == 9 and (logits(model.eval(), points).argmax(dim=-1) == label).all():
+        if step % 10 == 9 and (answers_when_settled(model, points) == label).all():
             return
-    pytest.fail(f"{name}: {logits(model, points).argmax(dim=-1).tolist()} after {step + 1} steps")
+    pytest.fail(f"{name}: {answers_when_settled(model, points).tolist()} after {step + 1} steps")
+
+
+def answers_when_settled(model: nn.Module, points: Tensor) -> Tensor:
+    """Classes in evaluation mode, once the running statistics are those of these clouds: while the
+    weights move fast they lag behind, which says nothing of the model."""
+    model = copy.deepcopy(model)
+    for module in model.modules():
+        if hasattr(module, "momentum"):
+            module.momentum = 1.0
+    with torch.no_grad():
+        model.train()(points)
+    return logits(model.eval(), points).argmax(dim=-1)
 
 
 def largest_change(
