@@ -77,7 +77,7 @@ def test_training_and_evaluation_agree(name: str, formulations: ModuleType) -> N
     for mine, yours in pairs:
         shapes = {k: v.shape for k, v in yours.state_dict().items()}
         yours.load_state_dict({k: v.view(shapes[k]) for k, v in mine.state_dict().items()})
-    points = torch.randn(3, 520, 3) * torch.rand(3, 1, 3) + torch.tensor([0, 0, 3.0])
+    points = torch.randn(3, 1024, 3) * torch.rand(3, 1, 3) + torch.tensor([0, 0, 3.0])
     points = normalise(points.double())
 
     def logits(model: nn.Module) -> Tensor:

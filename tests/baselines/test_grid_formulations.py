@@ -56,6 +56,10 @@ def test_logits_and_gradients_agree(stem: str, name: str) -> None:
             if isinstance(module, nn.Dropout):
                 module.p = 0.0
     theirs.load_state_dict(ours.state_dict())
+    if name == "simpleview":
+        # Its other memory layout sums in another order, which a batch norm over three clouds blows
+        # up; the formulation is what is compared here.
+        theirs.trunk.to(memory_format=torch.channels_last)
     points = torch.randn(3, 300, 3) * torch.rand(3, 1, 3)
     for model in (ours, theirs):
         out = model.train()(points).class_logits
