@@ -119,7 +119,7 @@ def evaluate(
             model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
             first_seed=first_seed, precision=precision, checkpoint_every=checkpoint_every,
             recipe=arguments.pairs(recipe), options=arguments.pairs(option),
-            **arguments.pairs(protocol),
+            protocol=arguments.pairs(protocol),
         )  # fmt: skip
     if as_json:
         print(json.dumps([dataclasses.asdict(result) for result in done], indent=1))

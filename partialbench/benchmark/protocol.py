@@ -115,7 +115,7 @@ PRESETS: dict[str, Protocol] = {
 }
 
 
-def protocol(preset: str, **overrides: Any) -> Protocol:
+def protocol(preset: str, /, **overrides: Any) -> Protocol:
     """A preset, with fields overridden. Overriding makes another protocol with its own digest.
 
     Raises:

@@ -54,6 +54,7 @@ def run_eval(
     checkpoint_every: int | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
+    protocol: Mapping[str, Any] | None = None,
     **protocol_overrides: Any,
 ) -> list[Result]:
     """Trains and tests a model; one record per seed and test set, written as each is done.
@@ -65,8 +66,8 @@ def run_eval(
         test_data: another such folder; each seed is tested on its test split as well.
         checkpoint_file: test these weights instead of training; ``seeds``, ``preset`` and recipe
             do not apply then.
-        preset: "smoke", "mini" or "paper"; ``protocol_overrides`` change its fields
-            (``epochs=2``), which makes it another protocol.
+        preset: "smoke", "mini" or "paper"; ``protocol`` and ``protocol_overrides`` change its
+            fields (``epochs=2``), which makes it another protocol.
         seeds: how many, counted from ``first_seed``.
         device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
         resume: continue interrupted seeds; a finished training is not repeated.
@@ -74,6 +75,7 @@ def run_eval(
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row.
+        protocol: fields of the protocol by name, for one that is an argument here too (``recipe``).
 
     Raises:
         InputError: anything about the arguments or files.
@@ -90,12 +92,12 @@ def run_eval(
 
     if fabric.device.type == "cpu":
         keep_freed_memory()
-    protocol = protocols.protocol(preset, **protocol_overrides)
+    followed = protocols.protocol(preset, **{**(protocol or {}), **protocol_overrides})
     card = models.card_of(model)
-    used = recipes.override(recipes.of_protocol(card, protocol), recipe or {})
-    train_set = ShardDataset(data, "train", protocol.num_points)
+    used = recipes.override(recipes.of_protocol(card, followed), recipe or {})
+    train_set = ShardDataset(data, "train", followed.num_points)
     test_sets = [
-        ShardDataset(folder, "test", protocol.num_points)
+        ShardDataset(folder, "test", followed.num_points)
         for folder in (data, test_data)
         if folder is not None
     ]
@@ -105,7 +107,7 @@ def run_eval(
     written = []
     variant = _variant(recipe or {}, options or {})
     for seed in range(first_seed, first_seed + seeds):
-        task = make_task(model, train_set, protocol, used, seed, dict(options or {}), variant)
+        task = make_task(model, train_set, followed, used, seed, dict(options or {}), variant)
         folder = results_folder / "runs" / run_folder(task)
         log.info("training %s, seed %d, in %s", task.model, seed, folder)
         trained = train(task, fabric, folder, resume, checkpoint_every)

@@ -15,11 +15,13 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from typer.testing import CliRunner
 
 from partialbench import registry
 from partialbench.benchmark import audit, evaluate, metrics, results
 from partialbench.benchmark.predict import draw, predict, read_points
 from partialbench.benchmark.run import run_eval
+from partialbench.cli import app
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 from tests.benchmark.memory_clouds import MemoryClouds, data_folder
@@ -97,6 +99,25 @@ def test_another_data_set_is_scored_on_the_shared_classes(done):
     assert crossed.scores["per_class"]["bottle"] is None
     assert crossed.scores["restricted_accuracy"] >= crossed.scores["accuracy"]
     assert crossed.column != done[0][0].column
+
+
+def test_a_field_of_the_protocol_may_be_called_as_an_argument_is(data, tmp_path):
+    """The command line takes any field, "recipe" too, and refuses what is none."""
+    fields = {"recipe": "short", "num_points": 64}
+    command = [
+        "eval", "--model", f"{MODELS}:Posed", "--data", str(data), "--preset", "smoke",
+        "--device", "cpu", "--results", str(tmp_path),
+    ]  # fmt: skip
+    for name, value in fields.items():
+        command += ["--protocol", f"{name}={value}"]
+    ran = CliRunner().invoke(app, command)
+    assert ran.exit_code == 0, ran.output
+    (record,) = results.read_folder(tmp_path)
+    assert {name: record.protocol[name] for name in fields} == fields
+    assert record.recipe["schedule"] == "one-cycle"
+    for name in ("seeds", "preset"):
+        with pytest.raises(InputError, match=f"the protocol has no field '{name}'"):
+            run_eval(f"{MODELS}:Posed", data, device="cpu", protocol={name: 1})
 
 
 def test_a_checkpoint_tested_alone_gives_the_same_record(done, data, tmp_path):
