@@ -27,8 +27,7 @@ from torch import Tensor, nn
 
 from baselines.points import normalise
 from baselines.steerable.fields import wigner_matrix
-from baselines.voxels import occupancy
-from papnet.parts import GRID, Backbone, ClassHead, concatenate, pool, uniform
+from papnet.parts import GRID, Backbone, ClassHead, pool
 from papnet.rotate_field import rotate_field
 from papnet.steered.model import PAPNetSteered
 from renderers.hpr import hidden_point_removal, paper_radius
@@ -49,17 +48,13 @@ def centred_pool(x: Tensor) -> Tensor:
 class CentredBackbone(Backbone):
     """The released backbone, its weights and layers, on grids that share one centre."""
 
-    def forward(self, points: Tensor, grid: int) -> Tensor:
-        x = centred_pool(self.conv1(occupancy(points, grid)))
-        x = centred_pool(self.conv22(self.conv21(x)))
-        fine = self.conv24(self.conv23(x))
-        middle = self.conv32(self.conv31(fine))
-        coarse = self.conv42(self.conv41(centred_pool(middle)))
-        coarse = nn.functional.interpolate(
-            coarse, scale_factor=2, mode="trilinear", align_corners=False
-        )
-        pyramid = [(fine, uniform(4)), (middle, uniform(8)), (coarse, uniform(16))]
-        return self.convp1(concatenate(pyramid))
+    align_corners = False
+
+    def first(self, volume: Tensor) -> Tensor:
+        return centred_pool(self.conv1(volume))
+
+    def halve(self, x: Tensor) -> Tensor:
+        return centred_pool(x)
 
 
 def single_views(count: int, points: int) -> Tensor:

@@ -19,11 +19,6 @@ from partialbench.dataset.build import build
 from partialbench.dataset.render import plan_render
 
 OBJECTS, TEST_OBJECTS, VIEWS = 80, 20, 4
-# The published step schedule, squeezed into so few epochs, would stop learning early.
-RECIPES = {
-    "pointnet": {"lr": 0.003, "schedule": "one-cycle", "schedule_options": {},
-                 "label_smoothing": 0.1},
-}  # fmt: skip
 
 
 def main() -> None:
@@ -48,8 +43,7 @@ def main() -> None:
         for model in arguments.models:
             (result,) = run_eval(
                 model, folder, preset="mini", results_folder=arguments.out / "results",
-                resume=True, recipe=RECIPES.get(model), num_points=arguments.num_points,
-                clouds_seen=arguments.clouds_seen,
+                resume=True, num_points=arguments.num_points, clouds_seen=arguments.clouds_seen,
             )  # fmt: skip
             scores.setdefault(model, {})[name] = result.scores["accuracy"]
             print(f"{model} on {name}: {result.scores['accuracy']:.1%}", flush=True)

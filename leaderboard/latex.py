@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.layouts import Layout
 from leaderboard.words import (
     describe,
     duplicates,
+    interval,
     percent,
     reported,
     reported_name,
@@ -53,13 +52,12 @@ def _column(column: Column, comparison: Comparison) -> str:
     rows = []
     for name in ranked(column):
         cell, result = column.cells[name], column.cells[name].results[0]
-        low, high = comparison.intervals[name]
         rows.append(
             [
                 row_title(result),
                 result.card["representation"] or "–",
                 percent(cell.mean(), cell.std()),
-                "–" if math.isnan(low) else f"{100 * low:.1f} – {100 * high:.1f}",
+                interval(*comparison.intervals[name]),
                 " ".join(map(str, comparison.groups[name])),
                 *([without_duplicates(cell)] if repeated else []),
                 *([reported(column, result)] if column.reported else []),

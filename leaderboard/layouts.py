@@ -7,14 +7,13 @@ Source of every figure: Xu et al., "Classification of Single-View Object Point C
 from __future__ import annotations
 
 import json
-import math
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.words import percent, reported, reported_name, row_title
+from leaderboard.words import interval, percent, reported, reported_name, row_title
 from partialbench.benchmark.results import Result
 
 MODEL = "papnet"
@@ -175,10 +174,9 @@ def _ablation(key: str, names: dict[str, str], column: Column, compared: Compari
     row = [ABLATIONS[key].title]
     if key in names:
         cell, baseline = column.cells[names[key]], column.cells.get(names.get(BASELINE, ""))
-        low, high = compared.intervals[names[key]]
         row += [
             percent(cell.mean(), cell.std()),
-            "–" if math.isnan(low) else f"{100 * low:.1f} – {100 * high:.1f}",
+            interval(*compared.intervals[names[key]]),
             " ".join(map(str, compared.groups[names[key]])),
             "–" if baseline is None else f"{100 * (cell.mean() - baseline.mean()):+.1f}",
             str(cell.seeds),

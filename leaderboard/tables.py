@@ -16,6 +16,7 @@ from leaderboard.words import (
     difference,
     duplicates,
     engineering,
+    interval,
     paper_score,
     percent,
     reported,
@@ -34,7 +35,7 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
     for column, comparison in zip(board, comparisons, strict=True):
         parts += [f"## {column.title}\n", describe(column) + "\n"]
         head = ["model", "input", "accuracy", "95 % interval", "group", "behind the first"]
-        best = ranked(column)[0]
+        names = ranked(column)
         repeated = duplicates(column) > 0
         if repeated:
             head.append("without duplicates")
@@ -49,16 +50,15 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
         if column.reported:
             head.append(f"{reported_name(column)} (reported)")
         lines = [head, ["---"] * len(head)]
-        for name in ranked(column):
+        for name in names:
             cell, result = column.cells[name], column.cells[name].results[0]
-            low, high = comparison.intervals[name]
             line = [
                 row_title(result),
                 result.card["representation"] or "–",
                 percent(cell.mean(), cell.std()),
-                "–" if math.isnan(low) else f"{100 * low:.1f} – {100 * high:.1f}",
+                interval(*comparison.intervals[name]),
                 " ".join(map(str, comparison.groups[name])),
-                "–" if name == best else difference(comparison.differences[best, name]),
+                "–" if name == names[0] else difference(comparison.differences[names[0], name]),
             ]
             if repeated:
                 line.append(without_duplicates(cell))

@@ -38,10 +38,15 @@ def percent(mean: float, std: float | None) -> str:
     return f"{100 * mean:.1f}" if std is None else f"{100 * mean:.1f} ± {100 * std:.1f}"
 
 
+def interval(low: float, high: float) -> str:
+    """The bounds of a share as "81.2 – 85.0", "–" where there is nothing to resample."""
+    return "–" if math.isnan(low) else f"{100 * low:.1f} – {100 * high:.1f}"
+
+
 def difference(found: tuple[float, float, float]) -> str:
     """A difference of shares and its interval as "3.1 (1.4 – 4.8)"."""
-    mean, low, high = (100 * share for share in found)
-    return f"{mean:.1f}" if math.isnan(low) else f"{mean:.1f} ({low:.1f} – {high:.1f})"
+    mean, low, high = found
+    return f"{100 * mean:.1f}" + ("" if math.isnan(low) else f" ({interval(low, high)})")
 
 
 def engineering(count: float) -> str:

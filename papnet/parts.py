@@ -45,6 +45,8 @@ class Backbone(nn.Module):
     """Occupancy of a cloud → an equivariant volume at a quarter of its edge (16³ for 64³)."""
 
     fields = uniform(16)
+    align_corners = True
+    """Of the upsampling; with ``first`` and ``halve``, how the release lays one grid on another."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -58,16 +60,24 @@ class Backbone(nn.Module):
 
     def forward(self, points: Tensor, grid: int) -> Tensor:
         """(B,N,3) normalised clouds → (B,256,grid/4,grid/4,grid/4)."""
-        x = pooled_first_layer(self.conv1, occupancy(points, grid))
-        x = pool(self.conv22(self.conv21(x)))
+        x = self.first(occupancy(points, grid))
+        x = self.halve(self.conv22(self.conv21(x)))
         fine = self.conv24(self.conv23(x))
         middle = self.conv32(self.conv31(fine))
-        coarse = self.conv42(self.conv41(pool(middle)))
+        coarse = self.conv42(self.conv41(self.halve(middle)))
         coarse = nn.functional.interpolate(
-            coarse, scale_factor=2, mode="trilinear", align_corners=True
+            coarse, scale_factor=2, mode="trilinear", align_corners=self.align_corners
         )
         pyramid = [(fine, uniform(4)), (middle, uniform(8)), (coarse, uniform(16))]
         return self.convp1(concatenate(pyramid))
+
+    def first(self, volume: Tensor) -> Tensor:
+        """(B,1,X,X,X) occupancy → the first layer's output at half the edge."""
+        return pooled_first_layer(self.conv1, volume)
+
+    def halve(self, x: Tensor) -> Tensor:
+        """To half the edge."""
+        return pool(x)
 
 
 class PoseHead(nn.Module):
