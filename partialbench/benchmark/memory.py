@@ -2,7 +2,7 @@
 
 A step on the CPU allocates and frees the same tensors of many megabytes again and again. glibc
 returns each to the kernel and gets it back page by page, zeroed: on two cores a step of
-``papnet-steered`` took 1.7 times as long for it (``python -m benchmarks.memory``).
+``papnet-steered`` took 1.8 times as long for it (``python -m benchmarks.memory``).
 """
 
 from __future__ import annotations
