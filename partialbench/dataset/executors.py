@@ -5,14 +5,16 @@ All three are ``concurrent.futures.Executor``; the builder does not know which i
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from types import FrameType
 from typing import Any
 
 from partialbench.errors import InputError
@@ -47,6 +49,42 @@ def _start_worker(parent: int) -> None:
     threading.Thread(target=leave_with_parent, daemon=True).start()
 
 
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Ctrl-C within the block is heeded at its end; processes started in it do not hear it at all.
+
+    The mask is for them, who inherit it. It does not hold back this process's own handler: another
+    thread takes the signal and Python runs the handler in the main thread all the same.
+    """
+    arrived: list[tuple[int, FrameType | None]] = []
+    handler = signal.getsignal(signal.SIGINT)
+    # Python's handlers run in the main thread only, and only there can they be set.
+    main = threading.current_thread() is threading.main_thread()
+    if callable(handler) and main:
+        signal.signal(signal.SIGINT, lambda *received: arrived.append(received))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if callable(handler) and main:
+            signal.signal(signal.SIGINT, handler)
+            if arrived:
+                handler(*arrived[0])
+
+
+class _Pool(ProcessPoolExecutor):
+    """Starts its workers undisturbed, which it does when there is work for them.
+
+    Ctrl-C must not hit a worker before it can ignore it, nor this process between starting a worker
+    and writing it down: one the pool does not know would never be told to leave.
+    """
+
+    def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
+        with _interrupts_held_back():
+            return super().submit(fn, *args, **kwargs)
+
+
 def process_pool(workers: int) -> ProcessPoolExecutor:
     """``workers`` spawned processes of one thread each.
 
@@ -56,20 +94,12 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
         raise InputError(f"--workers must be at least 1, got {workers}")
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    # The processes are started here, with the signal held back: they inherit the mask, so Ctrl-C
-    # cannot hit them before they can ignore it, and here it is delivered a moment later.
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        pool = ProcessPoolExecutor(
-            workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_start_worker,
-            initargs=(os.getpid(),),
-        )
-        pool.submit(os.getpid)
-    finally:
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    return pool
+    return _Pool(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_start_worker,
+        initargs=(os.getpid(),),
+    )
 
 
 class DaskExecutor(Executor):

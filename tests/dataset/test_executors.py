@@ -1,0 +1,45 @@
+"""The pool of processes: what its workers are started with."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from partialbench.dataset.executors import _interrupts_held_back, process_pool
+
+
+def born_deaf(seconds: float) -> tuple[int, bool]:
+    """This worker's number, and whether SIGINT was held back from its first moment."""
+    time.sleep(seconds)
+    return os.getpid(), signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, set())
+
+
+def test_ctrl_c_cannot_hit_any_worker_before_it_can_ignore_it():
+    """Also the later ones: a pool starts each when there is work for it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, set())
+    with process_pool(3) as pool:
+        answers = list(pool.map(born_deaf, [1.0] * 6))
+    assert len({pid for pid, _ in answers}) == 3
+    assert all(deaf for _, deaf in answers)
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, set()) == before
+
+
+def test_ctrl_c_while_a_worker_is_started_is_heeded_right_after():
+    """Whichever thread the signal reaches: the mask of one does not keep it from another."""
+    elsewhere = threading.Thread(target=time.sleep, args=(1.0,))
+    elsewhere.start()
+    reached = []
+
+    def interrupted() -> None:
+        with _interrupts_held_back():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.2)
+            reached.append("the end of the block")
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    elsewhere.join()
+    assert reached
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
