@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 from partialbench.benchmark import metrics, results
 from partialbench.benchmark.results import SUFFIX, Result
@@ -42,6 +44,17 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
     return found
 
 
+def _same(ours: Any, recorded: Any) -> bool:
+    """Equal scores, numbers to rounding: another processor sums in another order."""
+    if isinstance(ours, dict) and isinstance(recorded, dict):
+        return ours.keys() == recorded.keys() and all(_same(ours[k], recorded[k]) for k in ours)
+    if isinstance(ours, list) and isinstance(recorded, list):
+        return len(ours) == len(recorded) and all(map(_same, ours, recorded))
+    if isinstance(ours, float) and isinstance(recorded, float):
+        return math.isclose(ours, recorded, rel_tol=1e-9, abs_tol=1e-12)
+    return ours == recorded
+
+
 def _predictions_problems(folder: Path, path: Path, result: Result, recompute: bool) -> list[str]:
     try:
         predictions = results.read_predictions(folder, result)
@@ -52,7 +65,7 @@ def _predictions_problems(folder: Path, path: Path, result: Result, recompute: b
     scores = metrics.scores(
         predictions, result.train_data.class_names, result.test_data.class_names
     )
-    wrong = [name for name in scores if scores[name] != result.scores.get(name)]
+    wrong = [name for name in scores if not _same(scores[name], result.scores.get(name))]
     if not wrong:
         return []
     return [

@@ -201,6 +201,19 @@ def test_a_forger_who_mends_the_digest_is_found_by_check_alone(folder, tmp_path)
         build_leaderboard(folder, tmp_path / "checking", check=True)
 
 
+@pytest.mark.parametrize(("off", "wrong"), [(1e-15, 0), (1e-6, 1)])
+def test_another_processors_rounding_is_no_forgery(folder, off, wrong):
+    """Records come from other machines, where sums are taken in another order."""
+
+    def shift(text):
+        text["scores"]["calibration_error"] += off
+        text["scores"]["pose"]["top_k"][3] += off
+
+    posed = next(p for p in sorted(folder.glob("good*.json")) if "seed0" in p.name)
+    forge(posed, shift, honest_digest=True)
+    assert len(problems(folder)) == wrong
+
+
 def test_an_empty_folder_says_how_to_fill_it(tmp_path):
     with pytest.raises(InputError, match=r"holds no records.*partialbench eval"):
         build_leaderboard(tmp_path, tmp_path / "out")
