@@ -2,6 +2,7 @@
 
 A column is one pair of training and test data under one protocol, by digest: results that differ in
 any of the three never share a column. A row is one model (and variant); its seeds are averaged.
+What was tested on clouds made to differ from those trained on makes no column, but ``curves``.
 """
 
 from __future__ import annotations
@@ -61,6 +62,8 @@ def make_board(results: Iterable[Result]) -> list[Column]:
     """The columns of some results: a data set's own test set first, then others, by name."""
     grouped: dict[tuple[str, ...], dict[str, list[Result]]] = defaultdict(lambda: defaultdict(list))
     for result in sorted(results, key=lambda r: (r.run_name, r.seed)):
+        if result.conditions:
+            continue
         grouped[result.column][result.row].append(result)
     columns = []
     for key, cells in grouped.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from leaderboard import figures, gallery, latex, page, tables
+from leaderboard import curves, figures, gallery, latex, page, tables
 from leaderboard.board import make_board
 from leaderboard.check import problems
 from leaderboard.comparison import compare
@@ -21,7 +21,7 @@ def build_leaderboard(
     check: bool = False,
     data: Sequence[Path | str] = (),
 ) -> list[Path]:
-    """Writes leaderboard.md, .csv, .tex and .html, differences.csv and figures/*.svg and *.png.
+    """Writes leaderboard.md, .csv, .tex and .html, two more .csv and figures/*.svg and *.png.
 
     The same records (and data) give the same bytes.
 
@@ -53,17 +53,19 @@ def build_leaderboard(
     board = make_board(records)
     comparisons = [compare(column, folder) for column in board]
     test_sets = [gallery.open_test_split(Path(each)) for each in data]
-    drawn = figures.draw_all(board, comparisons, folder)
+    families = curves.find_families(board, records, folder)
+    drawn = figures.draw_all(board, comparisons, families, folder)
     svgs = {
         name: (caption, figures.to_bytes(figure, "svg"))
         for name, (caption, figure) in drawn.items()
     }
     galleries = [gallery.disagreements(column, folder, test_sets) for column in board]
-    laid_out = layouts(board, comparisons)
+    laid_out = [*layouts(board, comparisons), *map(curves.as_layout, families)]
     contents = {
         "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
         "differences.csv": tables.differences_as_csv(board, comparisons).encode(),
+        "curves.csv": tables.curves_as_csv(families).encode(),
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
         "leaderboard.html": page.as_html(board, comparisons, laid_out, svgs, galleries).encode(),
     }

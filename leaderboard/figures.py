@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,17 @@ from matplotlib.figure import Figure
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
+from leaderboard.curves import Family
 from leaderboard.layouts import noise_title
 from leaderboard.words import paper_score, row_title
 from partialbench.benchmark import results
-from partialbench.benchmark.metrics import confusion, shared_clouds
+from partialbench.benchmark.metrics import (
+    VISIBILITY_EDGES,
+    best_pose_errors_deg,
+    confusion,
+    shared_clouds,
+    visibility_bins,
+)
 
 # Ids inside an SVG are hashed with this; matplotlib would draw them at random.
 _STYLE: dict[Any, Any] = {
@@ -30,7 +38,7 @@ SETTINGS = ("aligned", "rotated", "partial")
 
 
 def draw_all(
-    board: list[Column], comparisons: list[Comparison], folder: Path
+    board: list[Column], comparisons: list[Comparison], families: list[Family], folder: Path
 ) -> dict[str, tuple[str, Figure]]:
     """File stem → (caption, figure). Only figures that have something to show are made."""
     figures: dict[str, tuple[str, Figure]] = {}
@@ -47,6 +55,12 @@ def draw_all(
                 f"Accuracy against the share of the surface that is seen: {column.title}",
                 _visibility(column),
             )
+            seen = _pose_visibility(column, folder)
+            if seen is not None:
+                figures[f"pose_visibility_{number}"] = (
+                    f"Pose error against the share of the surface that is seen: {column.title}",
+                    seen,
+                )
             figures[f"cost_{number}"] = (
                 f"Accuracy against multiply-adds of one cloud: {column.title}", _cost(column),
             )  # fmt: skip
@@ -67,6 +81,16 @@ def draw_all(
                 f"{column.title}",
                 _confusion(column, folder),
             )
+        for family in families:
+            title = f"the {family.axis}: {family.column.title}"
+            figures[f"{family.condition}_{family.number}"] = (
+                f"Accuracy against {title}", _curves(family),
+            )  # fmt: skip
+            poses = _pose_curves(family)
+            if poses is not None:
+                figures[f"pose_{family.condition}_{family.number}"] = (
+                    f"Pose error against {title}", poses,
+                )  # fmt: skip
     return figures
 
 
@@ -143,6 +167,65 @@ def _visibility(column: Column) -> Figure:
     return figure
 
 
+def _pose_visibility(column: Column, folder: Path) -> Figure | None:
+    """Median pose error of the clouds in each bin of visibility, over all seeds."""
+    posed = _posed(column)
+    if not posed:
+        return None
+    figure, axes = _new()
+    centres = [50 * (low + high) for low, high in itertools.pairwise(VISIBILITY_EDGES)]
+    for name in posed:
+        stored = [results.read_predictions(folder, r) for r in column.cells[name].results]
+        errors = np.concatenate([best_pose_errors_deg(p) for p in stored])
+        which = visibility_bins(np.concatenate([p.visible_fraction for p in stored]))
+        drawn = [i for i in range(len(centres)) if (which == i).sum() >= FEW_CLOUDS]
+        axes.plot([centres[i] for i in drawn], [np.median(errors[which == i]) for i in drawn],
+                  markersize=3, linewidth=1, label=_label(column, name),
+                  **_look(column, name))  # fmt: skip
+    axes.set_xlabel("visible surface (%)")
+    axes.set_ylabel("median pose error (°)")
+    _legend(axes)
+    return figure
+
+
+def _curves(family: Family) -> Figure:
+    figure, axes = _new()
+    for name, points in family.curves.items():
+        look = _look(family.column, name)
+        x = [p.x for p in points]
+        axes.plot(x, [100 * p.accuracy for p in points], markersize=3, linewidth=1,
+                  label=_label(family.column, name), **look)  # fmt: skip
+        axes.fill_between(x, [100 * p.low for p in points], [100 * p.high for p in points],
+                          color=look["color"], alpha=0.15, linewidth=0)  # fmt: skip
+    axes.set_ylabel("accuracy (%)")
+    _condition_axis(axes, family)
+    return figure
+
+
+def _pose_curves(family: Family) -> Figure | None:
+    figure, axes = _new()
+    for name, points in family.curves.items():
+        posed = [(p.x, p.pose_deg) for p in points if p.pose_deg is not None]
+        if posed:
+            axes.plot(*zip(*posed, strict=True), markersize=3, linewidth=1,
+                      label=_label(family.column, name), **_look(family.column, name))  # fmt: skip
+    if not axes.lines:
+        return None
+    axes.set_ylabel("median pose error (°)")
+    _condition_axis(axes, family)
+    return figure
+
+
+def _condition_axis(axes: Axes, family: Family) -> None:
+    places = sorted({p.x for points in family.curves.values() for p in points})
+    if family.condition == "points":
+        axes.set_xscale("log", base=2)
+    axes.set_xticks(places, [f"{x:g}" for x in places])
+    axes.minorticks_off()
+    axes.set_xlabel(family.axis)
+    _legend(axes)
+
+
 def _cost(column: Column) -> Figure:
     figure, axes = _new()
     for name in ranked(column):
@@ -158,7 +241,7 @@ def _cost(column: Column) -> Figure:
 
 
 def _top_k(column: Column) -> Figure | None:
-    posed = [n for n in ranked(column) if column.cells[n].results[0].scores["pose"]]
+    posed = _posed(column)
     if not posed:
         return None
     figure, axes = _new()
@@ -211,6 +294,11 @@ def _confusion(column: Column, folder: Path) -> Figure:
     axes.set_xlabel("named")
     axes.set_ylabel("true")
     return figure
+
+
+def _posed(column: Column) -> list[str]:
+    """The rows that have a pose, best first."""
+    return [n for n in ranked(column) if column.cells[n].results[0].scores["pose"]]
 
 
 def _label(column: Column, name: str) -> str:

@@ -8,6 +8,7 @@ import math
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
+from leaderboard.curves import Family
 from leaderboard.layouts import Layout
 from leaderboard.words import (
     budget,
@@ -155,6 +156,26 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
             writer.writerow(
                 ["" if v is None else f"{v:.6f}" if isinstance(v, float) else v for v in line]
             )
+    return text.getvalue()
+
+
+def curves_as_csv(families: list[Family]) -> str:
+    """One line for each point of each curve."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["column", "condition", "x", "row", "seeds", "accuracy", "interval_low", "interval_high",
+         "pose_median_deg"]
+    )  # fmt: skip
+    for family in families:
+        for name, points in family.curves.items():
+            for p in points:
+                pose_deg = math.nan if p.pose_deg is None else p.pose_deg
+                figures = (p.accuracy, p.low, p.high, pose_deg)
+                writer.writerow(
+                    [family.column.title, family.condition, f"{p.x:g}", name, p.seeds,
+                     *("" if math.isnan(f) else f"{f:.6f}" for f in figures)]
+                )  # fmt: skip
     return text.getvalue()
 
 

@@ -107,6 +107,9 @@ def evaluate(
     protocol: Annotated[
         list[str] | None, typer.Option(help="change a protocol field: epochs=2, num_points=256")
     ] = None,
+    test_points: Annotated[
+        list[int] | None, typer.Option(help="test on clouds of so many points too (repeatable)")
+    ] = None,
     recipe: Annotated[list[str] | None, typer.Option(help="change the recipe: lr=0.01")] = None,
     option: Annotated[list[str] | None, typer.Option(help="for the model: k=5")] = None,
     as_json: Json = False,
@@ -118,6 +121,7 @@ def evaluate(
         done = run_eval(
             model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
             first_seed=first_seed, precision=precision, checkpoint_every=checkpoint_every,
+            test_points=test_points or (),
             recipe=arguments.pairs(recipe), options=arguments.pairs(option),
             protocol=arguments.pairs(protocol),
         )  # fmt: skip
@@ -125,7 +129,8 @@ def evaluate(
         print(json.dumps([dataclasses.asdict(result) for result in done], indent=1))
         return
     for result in done:
-        tested = f"{result.test_data.id} ({result.test_data.setting})"
+        what = [result.test_data.setting, *map(" ".join, result.conditions.items())]
+        tested = f"{result.test_data.id} ({', '.join(what)})"
         accuracy = result.scores["accuracy"]
         print(f"{result.row}, seed {result.seed}, on {tested}: accuracy {accuracy:.1%}")
     if done:  # among several processes only the first has results

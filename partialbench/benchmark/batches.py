@@ -36,6 +36,7 @@ class Clouds(Interface):
     class_names: tuple[str, ...]
     dataset_id: str
     setting: str
+    sensor: str
     digest: str
     num_points: int
 

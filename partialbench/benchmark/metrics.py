@@ -90,6 +90,12 @@ def pose_errors_deg(
     return np.degrees(errors)
 
 
+def best_pose_errors_deg(predictions: Predictions) -> NDArray[np.float64]:
+    """(M,) the same of the most probable bin's rotation, for a model that has a pose."""
+    best = rotation_bins()[predictions.pose_bins[:, 0]]
+    return pose_errors_deg(best, predictions.rotations, predictions.symmetries)
+
+
 def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
     """Pose scores of a model that has a pose; None for one that has not.
 
@@ -103,8 +109,7 @@ def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
         return None
     true = true_pose_bins(predictions.rotations, predictions.symmetries)
     hit = predictions.pose_bins == true[:, None]
-    best = rotation_bins()[predictions.pose_bins[:, 0]]
-    errors = pose_errors_deg(best, predictions.rotations, predictions.symmetries)
+    errors = best_pose_errors_deg(predictions)
     return {
         "top_k": [float(v) for v in np.cumsum(hit, axis=1).mean(axis=0)],
         "mean_deg": float(errors.mean()),
@@ -135,14 +140,18 @@ def ensemble_accuracy(logits: NDArray, classes: NDArray, labels: NDArray) -> lis
     return hits
 
 
+def visibility_bins(
+    visible_fraction: NDArray, edges: Sequence[float] = VISIBILITY_EDGES
+) -> NDArray[np.int64]:
+    """(M,) which bin [edge, next edge) each cloud falls in; the last includes 1."""
+    return np.clip(np.digitize(visible_fraction, edges) - 1, 0, len(edges) - 2)
+
+
 def by_visibility(
     correct: NDArray, visible_fraction: NDArray, edges: Sequence[float] = VISIBILITY_EDGES
 ) -> list[dict[str, Any]]:
-    """Accuracy of the clouds whose visible share of the surface falls in [edge, next edge).
-
-    The last bin includes 1; a bin without clouds has accuracy None.
-    """
-    which = np.clip(np.digitize(visible_fraction, edges) - 1, 0, len(edges) - 2)
+    """Accuracy of the clouds in each of ``visibility_bins``; None in a bin without clouds."""
+    which = visibility_bins(visible_fraction, edges)
     return [
         {
             "from": edges[i],

@@ -19,7 +19,9 @@ from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 FORMAT = "partialbench-result"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+READABLE = (2, FORMAT_VERSION)
+"""Format 2 did not say of a split what ``DataRecord`` has a default for."""
 SUFFIX = ".result.json"
 
 
@@ -31,6 +33,8 @@ class DataRecord:
         id: "pm40-parametric" and the like. setting: "partial", "rotated" or "aligned".
         digest: of the split's content.
         clouds, objects: how many of it were used.
+        points: of a cloud; None where a record does not say: the protocol's.
+        sensor: "kinect-v1:2" and the like, "" for exact depth.
     """
 
     id: str
@@ -39,6 +43,8 @@ class DataRecord:
     clouds: int
     objects: int
     class_names: list[str]
+    points: int | None = None
+    sensor: str = ""
 
 
 def file_name(*parts: str) -> str:
@@ -56,6 +62,8 @@ def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
         clouds=len(rows),
         objects=len(np.unique(dataset.object_ids[rows])),
         class_names=list(dataset.class_names),
+        points=dataset.num_points,
+        sensor=dataset.sensor,
     )
 
 
@@ -103,12 +111,26 @@ class Result:
         return f"{self.model} [{self.variant}]" if self.variant else self.model
 
     @property
+    def conditions(self) -> dict[str, str]:
+        """In what the test clouds were made to differ from those trained on; mostly in nothing.
+
+        "points": their number. "sensor": what distorted them, on the data set trained on.
+        """
+        train, test = self.train_data, self.test_data
+        found = {}
+        if test.points not in (None, self.protocol["num_points"]):
+            found["points"] = str(test.points)
+        if test.id == train.id and test.sensor != train.sensor:
+            found["sensor"] = test.sensor or "ideal"
+        return found
+
+    @property
     def column(self) -> tuple[str, ...]:
         """What must agree for two results to be compared: data and protocol, by digest."""
         train, test = self.train_data, self.test_data
         return (
             train.id, train.setting, train.digest, test.id, test.setting, test.digest,
-            self.protocol_digest,
+            self.protocol_digest, *(f"{k}={v}" for k, v in self.conditions.items()),
         )  # fmt: skip
 
     @property
@@ -123,6 +145,7 @@ class Result:
         parts = [self.row, self.train_data.id]
         if self.test_data.id != self.train_data.id:
             parts.append(f"on-{self.test_data.id}")
+        parts += [f"{name}-{value}" for name, value in self.conditions.items()]
         parts += [self.protocol["preset"], f"seed{self.seed}", short]
         return file_name(*parts)
 
@@ -165,10 +188,10 @@ def read(path: Path) -> Result:
         raise InputError(f"{path} is not a readable JSON record: {error}") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise InputError(f"{path} is not a result record of partialbench eval")
-    if record.get("format_version") != FORMAT_VERSION:
+    if record.get("format_version") not in READABLE:
         raise InputError(
             f"{path} is a record of format {record.get('format_version')}, this version reads "
-            f"{FORMAT_VERSION}"
+            f"{' and '.join(map(str, READABLE))}"
         )
     names = {f.name for f in fields(Result)}
     present = set(record) - {"format", "format_version", "record_sha256"}

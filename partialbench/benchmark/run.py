@@ -52,6 +52,7 @@ def run_eval(
     first_seed: int = 0,
     precision: str = "32-true",
     checkpoint_every: int | None = None,
+    test_points: Sequence[int] = (),
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -73,6 +74,7 @@ def run_eval(
         resume: continue interrupted seeds; a finished training is not repeated.
         checkpoint_every: save every so many steps, besides after every epoch.
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
+        test_points: test on clouds of so many points too, beside the number trained on.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row.
         protocol: fields of the protocol by name, for one that is an argument here too (``recipe``).
@@ -83,8 +85,10 @@ def run_eval(
     results_folder = Path(results_folder)
     fabric = make_fabric(device, precision)
     if checkpoint_file is not None:
-        tests = [folder for folder in (data, test_data) if folder is not None]
-        return _test_checkpoint(model, Path(checkpoint_file), tests, fabric, results_folder)
+        folders = [folder for folder in (data, test_data) if folder is not None]
+        return _test_checkpoint(
+            model, Path(checkpoint_file), folders, test_points, fabric, results_folder
+        )
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
     if seeds < 1:
@@ -96,13 +100,8 @@ def run_eval(
     card = models.card_of(model)
     used = recipes.override(recipes.of_protocol(card, followed), recipe or {})
     train_set = ShardDataset(data, "train", followed.num_points)
-    test_sets = [
-        ShardDataset(folder, "test", followed.num_points)
-        for folder in (data, test_data)
-        if folder is not None
-    ]
-    for test_set in test_sets:
-        _require_shared_class(train_set.class_names, test_set)
+    folders = [folder for folder in (data, test_data) if folder is not None]
+    test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
 
     written = []
     variant = _variant(recipe or {}, options or {})
@@ -158,16 +157,28 @@ def _test_all(
     fabric: Fabric,
     folder: Path,
 ) -> list[Result]:
-    """Tests a finished checkpoint's model on each test set; cost and audit are measured once."""
+    """Tests a finished checkpoint's model on each test set.
+
+    Cost and audit are measured once for each number of points.
+    """
     device, num_classes = fabric.device, len(content["class_names"])
     model = model.to(device)
-    # A protocol that tests few clouds is meant to be quick, and is not to be outlasted by these.
-    most = content["protocol"]["max_test_clouds"] or len(test_sets[0])
-    cost = audit.cost(model, test_sets[0], device, min(audit.COST_BATCH, most))
-    turned = audit.rotation_audit(
-        model, test_sets[0], num_classes, device, min(audit.AUDIT_CLOUDS, most)
-    )
-    return [_test(content, model, test_set, fabric, folder, cost, turned) for test_set in test_sets]
+    measured: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+    written = []
+    for test_set in test_sets:
+        if test_set.num_points not in measured:
+            # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
+            most = content["protocol"]["max_test_clouds"] or len(test_set)
+            measured[test_set.num_points] = (
+                audit.cost(model, test_set, device, min(audit.COST_BATCH, most)),
+                audit.rotation_audit(
+                    model, test_set, num_classes, device, min(audit.AUDIT_CLOUDS, most)
+                ),
+            )
+        written.append(
+            _test(content, model, test_set, fabric, folder, *measured[test_set.num_points])
+        )
+    return written
 
 
 def _test(
@@ -214,9 +225,14 @@ def _test(
 
 
 def _test_checkpoint(
-    model_name: str, path: Path, tests: list[Path | str], fabric: Fabric, folder: Path
+    model_name: str,
+    path: Path,
+    folders: Sequence[Path | str],
+    test_points: Sequence[int],
+    fabric: Fabric,
+    results_folder: Path,
 ) -> list[Result]:
-    if not tests:
+    if not folders:
         raise InputError("nothing to test on: give --data or --test-data")
     content = checkpoint.load(path)
     if content["model"] != model_name:
@@ -227,10 +243,24 @@ def _test_checkpoint(
             f"--resume, the protocol reports the last epoch only"
         )
     model = checkpoint.build_model(content)
-    test_sets = [ShardDataset(test, "test", content["num_points"]) for test in tests]
+    test_sets = _open_test_sets(
+        folders, [content["num_points"], *test_points], tuple(content["class_names"])
+    )
+    return _test_all(content, model, test_sets, fabric, results_folder)
+
+
+def _open_test_sets(
+    folders: Sequence[Path | str], points: Sequence[int], train_classes: tuple[str, ...]
+) -> list[ShardDataset]:
+    """The test split of each folder with each number of points."""
+    test_sets = [
+        ShardDataset(folder, "test", number)
+        for folder in folders
+        for number in dict.fromkeys(points)
+    ]
     for test_set in test_sets:
-        _require_shared_class(tuple(content["class_names"]), test_set)
-    return _test_all(content, model, test_sets, fabric, folder)
+        _require_shared_class(train_classes, test_set)
+    return test_sets
 
 
 def _card_as_dict(card: ModelCard) -> dict[str, Any]:

@@ -40,8 +40,8 @@ class ShardDataset:
         visible_fraction: (M,) float32. n_visible: (M,) int32.
         symmetries: (M,) str array of group names.
         source_digests: (M,) SHA-256 (hex) of what each row's object was made from, "" if not known.
-        class_names: label → name. dataset_id, setting, digest: from the manifest; the digest is of
-            this split's content and does not depend on the shard size.
+        class_names: label → name. dataset_id, setting, sensor, digest: from the manifest; the
+            digest is of this split's content and does not depend on the shard size.
         manifest: the whole ``Manifest``.
 
     Raises:
@@ -64,6 +64,7 @@ class ShardDataset:
         self.class_names: tuple[str, ...] = tuple(self.manifest.class_names)
         self.dataset_id = self.manifest.dataset_id
         self.setting: str = self.manifest.configuration["setting"]
+        self.sensor = self.manifest.sensor
         self.digest = self.manifest.digests[split]
         stored: int = self.manifest.configuration["points"]
         if not 1 <= num_points <= stored:

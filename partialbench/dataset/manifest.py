@@ -71,6 +71,14 @@ class Manifest:
         )
 
     @property
+    def sensor(self) -> str:
+        """What distorted the depth, as "name:strength"; "" for exact depth, or none at all."""
+        sensor = self.configuration["occluder"].get("sensor")
+        if sensor is None or sensor["name"] == "ideal":
+            return ""
+        return f"{sensor['name']}:{sensor['strength']:g}"
+
+    @property
     def failures(self) -> list[dict[str, Any]]:
         """Everything recorded as failed or rejected, listing first, then in shard order."""
         return [*self.listing_failures, *(f for shard in self.shards for f in shard.failures)]

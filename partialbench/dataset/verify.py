@@ -202,7 +202,7 @@ def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
     canonical = (points - t[:, None]) @ R
     radius = np.linalg.norm(canonical, axis=2).max(axis=1)
     # A noisy sensor's flying pixels may lie anywhere along their ray.
-    limit = 1 + BALL_TOLERANCE if _ideal(manifest) else np.inf
+    limit = np.inf if manifest.sensor else 1 + BALL_TOLERANCE
     require(radius <= limit, "points lie outside the unit ball in the object frame")
     K = columns["K"]
     imaged = K[:, 0, 0] > 0
@@ -216,12 +216,6 @@ def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
             inside = ((pixels > -margin) & (pixels < size + margin)).all(axis=(1, 2))
             require(inside, "points project outside the image")
     return problems
-
-
-def _ideal(manifest: Manifest) -> bool:
-    """Whether every point lies exactly on the source's surface."""
-    sensor = manifest.configuration["occluder"].get("sensor")
-    return sensor is None or sensor["name"] == "ideal"
 
 
 def _surface_distances(
@@ -263,7 +257,7 @@ def _judge_surface(
         return
     distances = np.concatenate(surface)
     report.surface = {"max": float(distances.max()), "mean": float(distances.mean())}
-    if not _ideal(manifest):
+    if manifest.sensor:
         report.notes.append("the sensor is noisy: surface distances are reported, not judged")
     elif distances.max() > SURFACE_TOLERANCE:
         report.problems.append(

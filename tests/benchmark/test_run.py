@@ -120,6 +120,26 @@ def test_a_field_of_the_protocol_may_be_called_as_an_argument_is(data, tmp_path)
             run_eval(f"{MODELS}:Posed", data, device="cpu", protocol={name: 1})
 
 
+def test_the_same_weights_on_clouds_of_other_sizes(done, data, tmp_path):
+    """One record each; only those of the size trained on are of the table's column."""
+    written, folder = done
+    (weights,) = (folder / "runs").glob("*seed0/checkpoint.pt")
+    found = run_eval(
+        f"{MODELS}:Posed", data, checkpoint_file=weights, device="cpu", results_folder=tmp_path,
+        test_points=[16, 32, 64],
+    )  # fmt: skip
+    assert [r.test_data.points for r in found] == [64, 16, 32]
+    assert [r.conditions for r in found] == [{}, {"points": "16"}, {"points": "32"}]
+    assert found[0].column == written[0].column
+    assert found[1].column != found[2].column
+    assert len(results.read_folder(tmp_path)) == 3
+    with pytest.raises(InputError, match="100000 were asked for"):
+        run_eval(
+            f"{MODELS}:Posed", data, checkpoint_file=weights, device="cpu",
+            results_folder=tmp_path, test_points=[100_000],
+        )  # fmt: skip
+
+
 def test_a_checkpoint_tested_alone_gives_the_same_record(done, data, tmp_path):
     first, folder = done[0][0], done[1]
     weights = next((folder / "runs").glob("*seed0")) / "checkpoint.pt"

@@ -54,6 +54,7 @@ def predictions(
 def record(
     name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="mini",
     test=None, test_digest="b", paper=None, title=None, variant="", options=None,
+    points=None, sensor="",
 ) -> Result:  # fmt: skip
     card = ModelCard(
         name=name, entry=f"x:{name}", title=title or name.upper(), paper="Somebody et al., 2021",
@@ -70,7 +71,10 @@ def record(
         deviations=["29 epochs instead of 250"], protocol=protocol.as_dict(),
         protocol_digest=protocol.digest,
         train_data=DataRecord(data, "partial", digest * 64, 100, 20, CLASSES),
-        test_data=DataRecord(test, "partial", test_digest * 64, len(stored), objects, CLASSES),
+        test_data=DataRecord(
+            test, "partial", test_digest * 64, len(stored), objects, CLASSES,
+            points or protocol.num_points, sensor,
+        ),
         seed=seed,
         training={"epochs": 2, "steps": 6, "clouds_seen": 200, "seconds": 1.5,
                   "clouds_per_second": 300.0, "train_loss": 0.5, "validation_accuracy": 0.7,
