@@ -140,6 +140,50 @@ def evaluate(
 
 
 @app.command(
+    epilog="Example: `partialbench tune --model dgcnn --data data/pm40 --try lr=0.001 "
+    "--try lr=0.003 --try lr=0.01 --protocol clouds_seen=24000`"
+)
+def tune(
+    model: Annotated[
+        str, typer.Option(help="a name from 'partialbench models', or your module:factory")
+    ],
+    data: Annotated[Path, typer.Option(help="data folder; its test split is not opened")],
+    tries: Annotated[
+        list[str],
+        typer.Option("--try", help="a recipe: lr=0.01, or lr=0.01,batch_size=16 (repeatable)"),
+    ],
+    preset: Annotated[
+        Preset, typer.Option(help="how much: a minute, real use, the paper's scale")
+    ] = Preset.mini,
+    seed: Annotated[int, typer.Option(help="of every trial")] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
+    precision: Annotated[str, typer.Option(help="of training: 32-true, bf16-mixed")] = "32-true",
+    results: Annotated[Path, typer.Option(help="where tuning.csv goes")] = Path("results"),
+    protocol: Annotated[
+        list[str] | None, typer.Option(help="change a protocol field: clouds_seen=24000")
+    ] = None,
+    option: Annotated[list[str] | None, typer.Option(help="for the model: k=5")] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare recipes on the validation split; run again, it continues."""
+    from partialbench.benchmark.tune import FILE
+    from partialbench.benchmark.tune import tune as compare
+
+    with continued_by("the same command"):
+        trials = compare(
+            model, data, [arguments.pairs(one.split(",")) for one in tries], preset.value, seed,
+            device, results, precision=precision, options=arguments.pairs(option),
+            protocol=arguments.pairs(protocol),
+        )  # fmt: skip
+    lines = [f"{t.validation_accuracy:6.1%}  {t.recipe}" for t in trials]
+    print_result(
+        {"model": model, "trials": [dataclasses.asdict(t) for t in trials]},
+        as_json,
+        "\n".join(["validation accuracy, best first:", *lines, f"recorded in {results / FILE}"]),
+    )
+
+
+@app.command(
     epilog="Examples: `partialbench predict --checkpoint results/runs/…/checkpoint.pt mug.ply` · "
     "`partialbench predict --checkpoint C depth.png --intrinsics 525,525,319.5,239.5 "
     "--depth-scale 0.001`"

@@ -104,7 +104,7 @@ def run_eval(
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
 
     written = []
-    variant = _variant(recipe or {}, options or {})
+    variant = describe_changes(recipe or {}, options or {})
     for seed in range(first_seed, first_seed + seeds):
         task = make_task(model, train_set, followed, used, seed, dict(options or {}), variant)
         folder = results_folder / "runs" / run_folder(task)
@@ -306,5 +306,6 @@ def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> N
         )
 
 
-def _variant(recipe: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+def describe_changes(recipe: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+    """What was changed about a model or its recipe, as a row has it in brackets."""
     return " ".join(f"{k}={v}" for k, v in sorted([*recipe.items(), *options.items()], key=str))

@@ -1,0 +1,98 @@
+"""Recipes are compared on the validation split, each trial recorded once."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+
+import pytest
+
+from partialbench.benchmark.tune import FILE, read_trials, tune
+from partialbench.errors import InputError
+from tests.benchmark.memory_clouds import data_folder
+
+MODEL = "tests.benchmark.tiny_models:Bare"
+SHORT = {"num_points": 32, "epochs": 3}
+TRIES = [{"lr": 1e-7}, {}, {"lr": 0.01, "batch_size": 16}]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Without its test split: nothing here may open it."""
+    folder = data_folder(tmp_path_factory.mktemp("data") / "toy")
+    for path in folder.glob("test-*.h5"):
+        path.unlink()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    found = tune(MODEL, data, TRIES, "mini", device="cpu", results_folder=folder, protocol=SHORT)
+    return found, folder
+
+
+def test_the_best_comes_first_and_each_is_what_its_own_training_ended_with(done):
+    found, folder = done
+    scores = [trial.validation_accuracy for trial in found]
+    assert scores == sorted(scores, reverse=True)
+    for trial in found:
+        (log,) = [
+            path for path in folder.glob("runs/*/log.csv")
+            if ("lr" in trial.recipe) == ("lr" in path.parent.name)
+            and ("batch" in trial.recipe) == ("batch" in path.parent.name)
+        ]  # fmt: skip
+        last = list(csv.DictReader(log.open()))[-1]
+        assert float(last["validation_accuracy"]) == trial.validation_accuracy
+    assert {t.recipe for t in found} == {"lr=1e-07", "", "batch_size=16 lr=0.01"}
+
+
+def test_trials_are_recorded_once_and_not_repeated(done, data):
+    found, folder = done
+    written = (folder / FILE).read_bytes()
+    assert sorted(read_trials(folder / FILE), key=repr) == sorted(found, key=repr)
+    for run in (folder / "runs").iterdir():  # a repeated training would write its log again
+        (run / "log.csv").unlink()
+    again = tune(MODEL, data, TRIES, "mini", device="cpu", results_folder=folder, protocol=SHORT)
+    assert again == found
+    assert (folder / FILE).read_bytes() == written
+    assert not list((folder / "runs").glob("*/log.csv"))
+
+
+def test_another_call_adds_to_the_file(done, data, tmp_path):
+    found, folder = done
+    shutil.copy(folder / FILE, tmp_path)
+    more = tune(
+        MODEL, data, [{"lr": 0.003}], "mini", device="cpu", results_folder=tmp_path,
+        protocol=SHORT, options={"width": 8},
+    )  # fmt: skip
+    assert more[0].options == "width=8"
+    assert len(read_trials(tmp_path / FILE)) == len(found) + 1
+
+
+@pytest.mark.parametrize(
+    ("tries", "protocol", "message"),
+    [
+        ([], {}, "nothing to try"),
+        ([{"rate": 0.1}], {}, "a recipe has no field 'rate'"),
+        ([{}], {"validation_fraction": 0}, "there is nothing to choose on"),
+    ],
+)
+def test_what_cannot_be_tuned_is_refused(data, tmp_path, tries, protocol, message):
+    with pytest.raises(InputError, match=message):
+        tune(
+            MODEL,
+            data,
+            tries,
+            "mini",
+            device="cpu",
+            results_folder=tmp_path,
+            protocol={**SHORT, **protocol},
+        )
+    assert not (tmp_path / FILE).exists()
+
+
+def test_a_file_that_is_none_is_named(tmp_path):
+    (tmp_path / FILE).write_text("model,options\nx,y\n")
+    with pytest.raises(InputError, match=r"tuning.csv is not a file of trials"):
+        read_trials(tmp_path / FILE)
