@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from leaderboard import curves, figures, gallery, latex, page, tables
+from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.check import problems
 from leaderboard.comparison import compare
@@ -51,6 +52,11 @@ def build_leaderboard(
             f"'partialbench eval --results {folder}'"
         )
     board = make_board(records)
+    if not board:
+        raise InputError(
+            f"{folder} holds only tests under other conditions than trained on (fewer points, "
+            f"another sensor); each needs its model's own test beside it, with --data"
+        )
     comparisons = [compare(column, folder) for column in board]
     test_sets = [gallery.open_test_split(Path(each)) for each in data]
     families = curves.find_families(board, records, folder)
@@ -60,7 +66,11 @@ def build_leaderboard(
         for name, (caption, figure) in drawn.items()
     }
     galleries = [gallery.disagreements(column, folder, test_sets) for column in board]
-    laid_out = [*layouts(board, comparisons), *map(curves.as_layout, families)]
+    laid_out = [
+        *layouts(board, comparisons),
+        *rank_agreement(board),
+        *map(curves.as_layout, families),
+    ]
     contents = {
         "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),

@@ -79,16 +79,13 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
             probes[_trained_on(result)].append(result)
     families = []
     for number, column in enumerate(board, 1):
-        own = [cell.results[0] for cell in column.cells.values()]
-        here = [
-            result for result in probes.get(_trained_on(own[0]), [])
-            if _belongs(result, own[0])
-        ]  # fmt: skip
+        own = next(iter(column.cells.values())).results[0]
+        here = [probe for probe in probes.get(_trained_on(own), []) if _belongs(probe, own)]
         for condition in sorted({_condition(result) for result in here}):
             curves = {}
             for name in ranked(column):
                 at: dict[float, list[Result]] = defaultdict(list)
-                at[_start(condition, own[0])] += column.cells[name].results
+                at[_start(condition, own)] += column.cells[name].results
                 for result in here:
                     if result.row == name and _condition(result) == condition:
                         at[_place(result)].append(result)

@@ -64,6 +64,12 @@ def test_a_condition_on_another_data_set_is_transfer_and_stays_a_column(tmp_path
     assert found == []
 
 
+def test_probes_alone_make_no_board(tmp_path):
+    add(tmp_path, "good", 0.5, points=64)
+    with pytest.raises(InputError, match="holds only tests under other conditions"):
+        build_leaderboard(tmp_path, tmp_path / "out")
+
+
 def test_two_test_sets_under_one_condition_are_refused(folder):
     add(folder, "good", 0.5, 0, posed=True, sensor="tof:1", test_digest="9")
     with pytest.raises(InputError, match=r"2 data sets under the same condition \(tof 1\)"):
