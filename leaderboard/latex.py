@@ -97,7 +97,7 @@ _LATEX = {
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "<": r"\textless{}", ">": r"\textgreater{}", "\"": "''", "×": r"$\times$",
     "→": r"$\rightarrow$", "–": "--", "±": r"$\pm$", "²": r"$^2$", "³": r"$^3$", "δ": r"$\delta$",
-    "°": r"$^\circ$", "−": r"$-$", "…": r"\dots{}",
+    "ρ": r"$\rho$", "τ": r"$\tau$", "°": r"$^\circ$", "−": r"$-$", "…": r"\dots{}",
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import pytest
 
 from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
+from leaderboard.latex import escape
 from partialbench.benchmark import results
 from tests.leaderboard.records import add
 
@@ -32,6 +33,7 @@ def test_orders_that_can_be_counted_by_hand(tmp_path, order, rho, tau):
     second = dict(zip(order, ACCURACIES.values(), strict=True))
     (table,) = rank_agreement(board(tmp_path, second))
     assert [row[2:] for row in table.rows] == [["5", rho, tau]]
+    assert "[U+" not in escape(" ".join([table.about, *table.head, *table.rows[0]]))
 
 
 def test_only_rows_that_both_have_count_and_few_say_nothing(tmp_path):
