@@ -20,7 +20,9 @@ def rebuilt(tmp_path_factory):
     return out
 
 
-@pytest.mark.parametrize("name", ["leaderboard.md", "leaderboard.csv", "differences.csv"])
+@pytest.mark.parametrize(
+    "name", ["leaderboard.md", "leaderboard.csv", "differences.csv", "curves.csv"]
+)
 def test_the_tables_are_made_from_the_records_alone(rebuilt, name):
     assert (rebuilt / name).read_bytes() == (BOARD / name).read_bytes()
 
