@@ -33,6 +33,8 @@ def rank_agreement(board: list[Column]) -> list[Layout]:
             if len(shared) < FEWEST_ROWS:
                 continue
             here, there = ([c.cells[n].mean() for n in shared] for c in (one, other))
+            if min(len(set(here)), len(set(there))) == 1:
+                continue  # all alike: there is no order to agree on
             rho, tau = spearmanr(here, there).statistic, kendalltau(here, there).statistic
             rows.append([one.title, other.title, str(len(shared)), f"{rho:+.2f}", f"{tau:+.2f}"])
         if rows:

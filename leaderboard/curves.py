@@ -59,9 +59,9 @@ class Family:
     @property
     def axis(self) -> str:
         """What x is, as printed."""
-        return (
-            "points of a cloud" if self.condition == "points" else f"strength of {self.condition}"
-        )
+        if self.condition == "points":
+            return "points of a cloud"
+        return f"strength of {self.condition}"
 
 
 def find_families(board: list[Column], records: Iterable[Result], folder: Path) -> list[Family]:

@@ -40,5 +40,9 @@ def test_only_rows_that_both_have_count_and_few_say_nothing(tmp_path):
     assert rank_agreement(board(tmp_path, {"a": 0.9, "b": 0.6, "c": 0.2})) == []
 
 
+def test_equal_accuracies_have_no_order(tmp_path):
+    assert rank_agreement(board(tmp_path, dict.fromkeys(ACCURACIES, 1.0))) == []
+
+
 def test_another_protocol_is_another_matter(tmp_path):
     assert rank_agreement(board(tmp_path, ACCURACIES, preset="smoke")) == []
