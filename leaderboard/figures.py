@@ -159,8 +159,7 @@ def _visibility(column: Column) -> Figure:
         seen = [i for i, bin_ in enumerate(rows[0]) if bin_["clouds"] >= FEW_CLOUDS]
         centres = [50 * (rows[0][i]["from"] + rows[0][i]["to"]) for i in seen]
         means = [100 * float(np.mean([row[i]["accuracy"] for row in rows])) for i in seen]
-        axes.plot(centres, means, markersize=3, linewidth=1, label=_label(column, name),
-                  **_look(column, name))  # fmt: skip
+        _line(axes, column, name, centres, means)
     axes.set_xlabel("visible surface (%)")
     axes.set_ylabel("accuracy (%)")
     _legend(axes)
@@ -179,9 +178,8 @@ def _pose_visibility(column: Column, folder: Path) -> Figure | None:
         errors = np.concatenate([best_pose_errors_deg(p) for p in stored])
         which = visibility_bins(np.concatenate([p.visible_fraction for p in stored]))
         drawn = [i for i in range(len(centres)) if (which == i).sum() >= FEW_CLOUDS]
-        axes.plot([centres[i] for i in drawn], [np.median(errors[which == i]) for i in drawn],
-                  markersize=3, linewidth=1, label=_label(column, name),
-                  **_look(column, name))  # fmt: skip
+        medians = [np.median(errors[which == i]) for i in drawn]
+        _line(axes, column, name, [centres[i] for i in drawn], medians)
     axes.set_xlabel("visible surface (%)")
     axes.set_ylabel("median pose error (°)")
     _legend(axes)
@@ -191,12 +189,11 @@ def _pose_visibility(column: Column, folder: Path) -> Figure | None:
 def _curves(family: Family) -> Figure:
     figure, axes = _new()
     for name, points in family.curves.items():
-        look = _look(family.column, name)
         x = [p.x for p in points]
-        axes.plot(x, [100 * p.accuracy for p in points], markersize=3, linewidth=1,
-                  label=_label(family.column, name), **look)  # fmt: skip
+        _line(axes, family.column, name, x, [100 * p.accuracy for p in points])
         axes.fill_between(x, [100 * p.low for p in points], [100 * p.high for p in points],
-                          color=look["color"], alpha=0.15, linewidth=0)  # fmt: skip
+                          color=_look(family.column, name)["color"], alpha=0.15,
+                          linewidth=0)  # fmt: skip
     axes.set_ylabel("accuracy (%)")
     _condition_axis(axes, family)
     return figure
@@ -207,8 +204,8 @@ def _pose_curves(family: Family) -> Figure | None:
     for name, points in family.curves.items():
         posed = [(p.x, p.pose_deg) for p in points if p.pose_deg is not None]
         if posed:
-            axes.plot(*zip(*posed, strict=True), markersize=3, linewidth=1,
-                      label=_label(family.column, name), **_look(family.column, name))  # fmt: skip
+            x, degrees = zip(*posed, strict=True)
+            _line(axes, family.column, name, x, degrees)
     if not axes.lines:
         return None
     axes.set_ylabel("median pose error (°)")
@@ -248,8 +245,7 @@ def _top_k(column: Column) -> Figure | None:
     for name in posed:
         curves = [r.scores["pose"]["top_k"] for r in column.cells[name].results]
         mean = 100 * np.mean(curves, axis=0)
-        axes.plot(range(1, len(mean) + 1), mean, markersize=3, linewidth=1,
-                  label=_label(column, name), **_look(column, name))  # fmt: skip
+        _line(axes, column, name, range(1, len(mean) + 1), mean)
     axes.set_xlabel("k")
     axes.set_xticks(K_TICKS)
     axes.set_ylabel("true pose bin among the k best (%)")
@@ -266,8 +262,7 @@ def _ensemble(column: Column) -> Figure | None:
     for name in deciding:
         cell = column.cells[name]
         mean = 100 * np.mean([r.scores["ensemble"] for r in cell.results], axis=0)
-        axes.plot(range(1, len(mean) + 1), mean, markersize=3, linewidth=1,
-                  label=noise_title(cell.results[0]), **_look(column, name))  # fmt: skip
+        _line(axes, column, name, range(1, len(mean) + 1), mean, noise_title(cell.results[0]))
     axes.set_xlabel("k, poses that decide")
     axes.set_xticks(K_TICKS)
     axes.set_ylabel("accuracy (%)")
@@ -294,6 +289,12 @@ def _confusion(column: Column, folder: Path) -> Figure:
     axes.set_xlabel("named")
     axes.set_ylabel("true")
     return figure
+
+
+def _line(axes: Axes, column: Column, name: str, x: Any, y: Any, label: str = "") -> None:
+    """A row's curve; it is called as in every figure unless ``label`` says otherwise."""
+    axes.plot(x, y, markersize=3, linewidth=1, label=label or _label(column, name),
+              **_look(column, name))  # fmt: skip
 
 
 def _posed(column: Column) -> list[str]:

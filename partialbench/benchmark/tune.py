@@ -100,19 +100,18 @@ def tune(
     own = recipes.of_protocol(models.card_of(model), followed)
     # All are checked before the first is trained.
     used = [recipes.override(own, changes) for changes in tries]
+    chosen = dict(options or {})
     trials = []
     for changes, recipe in zip(tries, used, strict=True):
         task = make_task(
-            model, train_set, followed, recipe, seed, dict(options or {}),
-            describe_changes(changes, options or {}),
-        )  # fmt: skip
-        folder = results_folder / "runs" / run_folder(task)
-        log.info("trying %s in %s", describe_changes(changes, {}) or "the recipe as it is", folder)
+            model, train_set, followed, recipe, seed, chosen, describe_changes(changes, chosen)
+        )
+        folder, tried = results_folder / "runs" / run_folder(task), describe_changes(changes, {})
+        log.info("trying %s in %s", tried or "the recipe as it is", folder)
         summary = train(task, fabric, folder, resume=True).summary
         trial = Trial(
-            model, describe_changes({}, options or {}), describe_changes(changes, {}), seed,
-            train_set.digest, followed.digest, summary["clouds_seen"], summary["train_loss"],
-            summary["validation_accuracy"],
+            model, describe_changes({}, chosen), tried, seed, train_set.digest, followed.digest,
+            summary["clouds_seen"], summary["train_loss"], summary["validation_accuracy"],
         )  # fmt: skip
         trials.append(trial)
         if fabric.is_global_zero:
