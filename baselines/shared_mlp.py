@@ -97,7 +97,7 @@ class _LinearMax(torch.autograd.Function):
         return d_rows.view_as(x), d_weight, d_top.sum(dim=0)
 
 
-def _autocast(*tensors: Tensor) -> tuple[Tensor, ...]:
+def autocast(*tensors: Tensor) -> tuple[Tensor, ...]:
     """The tensors in the dtype that autocast would give a matrix product here."""
     device = tensors[0].device.type
     if not torch.is_autocast_enabled(device):
@@ -107,7 +107,7 @@ def _autocast(*tensors: Tensor) -> tuple[Tensor, ...]:
 
 def linear_max(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """(…,n,C_in) → (…,C_out): the maximum over n of x·weightᵀ + bias."""
-    x, weight, bias = _autocast(x, weight, bias)
+    x, weight, bias = autocast(x, weight, bias)
     groups = x.reshape(-1, *x.shape[-2:])
     return _LinearMax.apply(groups, weight, bias).view(*x.shape[:-2], -1)
 

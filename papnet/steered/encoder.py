@@ -6,29 +6,11 @@ No coordinate enters a weight; see ``geometry`` for what does.
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
-from baselines.points import gather
+from baselines.shared_mlp import NormLinear, activated
+from papnet.steered.edge_layer import EdgeLayer, collect_edges
 from papnet.steered.geometry import Geometry, num_features
-
-
-class EdgeLayer(nn.Module):
-    """max over neighbours j of ReLU(BN(W·e_ij + A·x_j + C·x_i) − penalty_ij)."""
-
-    def __init__(self, inputs: int, edge_features: int, outputs: int) -> None:
-        super().__init__()
-        self.edge = nn.Linear(edge_features, outputs, bias=False)
-        self.ends = nn.Linear(inputs, 2 * outputs, bias=False)
-        self.norm = nn.BatchNorm1d(outputs)
-
-    def forward(self, x: Tensor, edges: Tensor, neighbours: Tensor, penalty: Tensor) -> Tensor:
-        """(B,N,C), (B,N,k,F), (B,N,k), (B,N,k) → (B,N,C_out)."""
-        here, there = self.ends(x).chunk(2, dim=-1)
-        # In place: these are by far the largest tensors, and no backward pass needs them.
-        y = self.edge(edges).add_(gather(there, neighbours)).add_(here[:, :, None])
-        y = self.norm(y.flatten(0, 2)).view_as(y).sub_(penalty[..., None].to(y.dtype))
-        return F.relu(y.amax(dim=2))
 
 
 class Encoder(nn.Module):
@@ -46,14 +28,13 @@ class Encoder(nn.Module):
         self.edge_norm = nn.BatchNorm1d(edges, affine=False)
         self.edge1 = EdgeLayer(points, edges, first)
         self.edge2 = EdgeLayer(first, edges, second)
-        self.point = nn.Linear(points + first + second, width, bias=False)
-        self.norm = nn.BatchNorm1d(width)
+        self.point = NormLinear(points + first + second, width, bias=False)
 
     def forward(self, g: Geometry) -> Tensor:
         """(B,N,width)."""
         x = self.point_norm(g.point_features.flatten(0, 1)).view_as(g.point_features)
-        edges = self.edge_norm(g.edge_features.flatten(0, 2)).view_as(g.edge_features)
-        first = self.edge1(x, edges, g.neighbours, g.penalty)
-        second = self.edge2(first, edges, g.neighbours, g.penalty)
-        y = self.point(torch.cat([x, first, second], dim=-1))
-        return F.relu(self.norm(y.flatten(0, 1)).view_as(y))
+        features = self.edge_norm(g.edge_features.flatten(0, 2)).view_as(g.edge_features)
+        edges = collect_edges(g.neighbours, features, g.penalty, moments=self.training)
+        first = self.edge1(x, edges)
+        second = self.edge2(first, edges)
+        return activated([self.point], torch.cat([x, first, second], dim=-1))
