@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from baselines import published
 from baselines.points import normalise
 from partialbench.benchmark.prediction import Prediction
+from partialbench.errors import InputError
 
 IMAGE = 128
 CAMERA_DISTANCE = 1.4
@@ -86,10 +87,17 @@ class BasicBlock(nn.Module):
 
 
 class SimpleView(nn.Module):
-    """Six depth images → ResNet18 with 16 features and no max-pool → one head over all views."""
+    """Six depth images → ResNet18 with 16 features and no max-pool → one head over all views.
 
-    def __init__(self, num_classes: int) -> None:
+    Args:
+        image: edge of the images in pixels; the weights fit any.
+    """
+
+    def __init__(self, num_classes: int, *, image: int = IMAGE) -> None:
         super().__init__()
+        if image < 1:
+            raise InputError(f"image must be positive, got {image}")
+        self.image = image
         widths = [FEATURES * 2**i for i in range(4)]
         layers = [
             nn.Sequential(BasicBlock(a, b, stride), BasicBlock(b, b, 1))
@@ -120,7 +128,7 @@ class SimpleView(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds, any scale and position → class logits (B,K)."""
-        images = depth_images(normalise(points))
+        images = depth_images(normalise(points), self.image)
         views = images.flatten(0, 1)[:, None].contiguous(memory_format=torch.channels_last)
         features = self.feature_norm(self.trunk(views).mean((2, 3)))
         return Prediction(self.head(features.view(len(points), -1)))

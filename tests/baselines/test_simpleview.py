@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from baselines.simpleview import SimpleView, depth_images, view_rotations
+from partialbench.errors import InputError
 from partialbench.registry import load_published
 
 
@@ -61,3 +62,15 @@ def test_published_depth_images_and_logits(shared) -> None:
 @pytest.mark.parametrize(("classes", "count"), [(40, 803_992), (15, 800_767)])
 def test_parameter_count(classes: int, count: int) -> None:
     assert sum(p.numel() for p in SimpleView(classes).parameters()) == count
+
+
+def test_smaller_images_take_the_same_weights_and_give_other_logits() -> None:
+    torch.manual_seed(0)
+    full, small = SimpleView(7), SimpleView(7, image=32)
+    small.load_state_dict(full.state_dict())
+    points = torch.randn(2, 100, 3)
+    logits = [model.eval()(points).class_logits for model in (full, small)]
+    assert logits[1].shape == (2, 7)
+    assert not torch.allclose(*logits)
+    with pytest.raises(InputError, match="image must be positive, got 0"):
+        SimpleView(7, image=0)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import csv
+import json
 import shutil
+from dataclasses import asdict
 
 import pytest
+from typer.testing import CliRunner
 
 from partialbench.benchmark.tune import FILE, read_trials, tune
+from partialbench.cli import app
 from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import data_folder
 
@@ -90,6 +94,22 @@ def test_what_cannot_be_tuned_is_refused(data, tmp_path, tries, protocol, messag
             protocol={**SHORT, **protocol},
         )
     assert not (tmp_path / FILE).exists()
+
+
+def test_the_command_takes_several_fields_a_trial_and_prints_what_it_records(data, tmp_path):
+    command = [
+        "tune", "--model", MODEL, "--data", str(data), "--results", str(tmp_path),
+        "--device", "cpu", "--option", "width=8",
+        "--protocol", "num_points=32", "--protocol", "epochs=1",
+        "--try", "lr=0.01,batch_size=16", "--try", "lr=0.003", "--json",
+    ]  # fmt: skip
+    ran = CliRunner().invoke(app, command)
+    assert ran.exit_code == 0, ran.output
+    printed = json.loads(ran.stdout)["trials"]
+    assert {trial["recipe"] for trial in printed} == {"batch_size=16 lr=0.01", "lr=0.003"}
+    assert {trial["options"] for trial in printed} == {"width=8"}
+    recorded = [asdict(trial) for trial in read_trials(tmp_path / FILE)]
+    assert sorted(recorded, key=repr) == sorted(printed, key=repr)
 
 
 def test_a_file_that_is_none_is_named(tmp_path):
