@@ -28,6 +28,24 @@ def wigner_entries(rotation: Tensor, lmax: int) -> Tensor:
     )
 
 
+def num_invariants(channels: int, width: int, lmax: int) -> int:
+    """How many ``invariants`` a descriptor has."""
+    return channels * (lmax + 1) + width
+
+
+def invariants(x: Descriptor) -> Tensor:
+    """(B,C·(lmax+1) + W): scalars, the norms of all other channels, the invariant features."""
+    scalars, *others = x.steerable.values()
+    # The square root of a tiny number, not of zero: its slope is finite.
+    norms = [(part.square().mean(2) + 1e-6).sqrt() for part in others]
+    return torch.cat([scalars[..., 0], *norms, x.invariant], dim=1)
+
+
+def num_joint_weights(channels: int, width: int, lmax: int, hidden: int) -> int:
+    """Weights of the hidden layer of ``JointHead``."""
+    return hidden * (channels * (lmax + 1) ** 2 + num_invariants(channels, width, lmax))
+
+
 class JointHead(nn.Module):
     """Descriptor → unnormalised log-probabilities of (pose, class).
 
@@ -47,7 +65,7 @@ class JointHead(nn.Module):
             torch.randn(channels, (2 * degree + 1) * hidden) / fan_in**0.5
             for degree in range(lmax + 1)
         )
-        self.invariant = nn.Linear(width, hidden, bias=False)
+        self.invariant = nn.Linear(num_invariants(channels, width, lmax), hidden, bias=False)
         self.norm = nn.BatchNorm1d(hidden)
         self.score = nn.Linear(hidden, num_classes)
         self.entries: Tensor
@@ -73,18 +91,24 @@ class JointHead(nn.Module):
             entries = self.entries
         else:
             entries = wigner_entries(rotation.to(G.device), self.lmax)
-        h = entries.to(G.dtype) @ G + self.invariant(x.invariant)[:, None]
+        h = entries.to(G.dtype) @ G + self.invariant(invariants(x))[:, None]
         return self.score(F.relu(self.norm(h.flatten(0, 1)).view_as(h)))
 
 
 class InvariantHead(nn.Module):
-    """The same descriptor without its pose: norms of its channels into a classifier."""
+    """The same descriptor without its pose: its invariants into a classifier.
 
-    def __init__(self, channels: int, width: int, lmax: int, hidden: int, num_classes: int) -> None:
+    Args:
+        channels, width, lmax: of the descriptor.
+        hidden: of the second hidden layer.
+        budget: weights of both hidden layers; the first is as wide as that allows.
+    """
+
+    def __init__(
+        self, channels: int, width: int, lmax: int, hidden: int, num_classes: int, budget: int
+    ) -> None:
         super().__init__()
-        inputs = channels * (lmax + 1) + width
-        # As many parameters as JointHead of the same hidden width has, but for rounding.
-        budget = hidden * (channels * (lmax + 1) ** 2 + width)
+        inputs = num_invariants(channels, width, lmax)
         wide = round(budget / (inputs + hidden))
         self.layers = nn.Sequential(
             nn.Linear(inputs, wide, bias=False),
@@ -98,7 +122,4 @@ class InvariantHead(nn.Module):
 
     def forward(self, x: Descriptor) -> Tensor:
         """(B,K)."""
-        scalars, *others = x.steerable.values()
-        # The square root of a tiny number, not of zero: its slope is finite.
-        norms = [(part.square().mean(2) + 1e-6).sqrt() for part in others]
-        return self.layers(torch.cat([scalars[..., 0], *norms, x.invariant], dim=1))
+        return self.layers(invariants(x))
