@@ -29,6 +29,8 @@ def describe(
         "processes": processes,
         "precision": precision,
         "cpu": _cpu_name(),
+        # Processors of one name differ in it, and in speed by as much as two.
+        "instructions": torch.backends.cpu.get_cpu_capability(),
         "cores": len(os.sched_getaffinity(0))
         if hasattr(os, "sched_getaffinity")
         else os.cpu_count(),

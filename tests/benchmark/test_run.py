@@ -75,6 +75,7 @@ def test_a_record_says_what_made_it(done, data):
     assert (record.train_data.clouds, record.train_data.objects) == (66, 33)
     assert record.protocol["preset"] == "smoke+"
     assert record.cost["parameters"] == sum(p.numel() for p in Bare(63).parameters())
+    assert record.environment["instructions"] == torch.backends.cpu.get_cpu_capability()
     assert record.environment["packages"]["torch"] == torch.__version__.split("+")[0] or (
         record.environment["packages"]["torch"] == torch.__version__
     )
