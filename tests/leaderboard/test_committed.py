@@ -28,14 +28,16 @@ def test_the_tables_are_made_from_the_records_alone(rebuilt, name):
 
 
 def test_the_readme_shows_the_table_that_the_records_make(rebuilt):
-    """Row by row: the README's columns are some of the table's."""
-    made = (rebuilt / "leaderboard.md").read_text()
-    rows = {line.split("|")[1].strip(): line for line in made.splitlines() if line.count("|") > 9}
+    """Row by row: the README's columns are some of those of the table it names."""
     readme = (ROOT / "README.md").read_text()
-    shown = re.search(r"<!-- leaderboard -->\n(.*?)<!-- end -->", readme, re.S)
+    shown = re.search(r"<!-- leaderboard: (.*?) -->\n(.*?)<!-- end -->", readme, re.S)
     assert shown is not None
-    lines = [line for line in shown[1].splitlines() if line.startswith("|")][2:]
-    assert len(lines) >= 3
+    made = (rebuilt / "leaderboard.md").read_text()
+    (section,) = (part for part in made.split("\n## ") if part.startswith(f"{shown[1]}\n"))
+    table = [line for line in section.splitlines() if line.count("|") > 9]
+    rows = {line.split("|")[1].strip(): line for line in table[2:]}
+    lines = [line for line in shown[2].splitlines() if line.startswith("|")][2:]
+    assert len(lines) == len(rows) >= 3
     for line in lines:
         model, *figures = (cell.strip() for cell in line.strip("|").split("|"))
         there = [cell.strip() for cell in rows[model].split("|")]
