@@ -7,6 +7,7 @@ What was tested on clouds made to differ from those trained on makes no column, 
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -56,6 +57,11 @@ class Column:
     title: str
     reported: str
     cells: dict[str, Cell] = field(default_factory=dict)
+
+    @property
+    def slug(self) -> str:
+        """The title in letters, digits, dots and hyphens: what its figures' files are named by."""
+        return re.sub(r"[^A-Za-z0-9.]+", "-", self.title.replace("→", "to")).strip("-").lower()
 
 
 def make_board(results: Iterable[Result]) -> list[Column]:

@@ -46,12 +46,10 @@ class Family:
     """The curves of one column along one condition.
 
     Attributes:
-        number: of the column, from 1.
         condition: "points", or a sensor's name.
         curves: row name → its points by rising x; two at least.
     """
 
-    number: int
     column: Column
     condition: str
     curves: dict[str, list[Point]]
@@ -78,7 +76,7 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
         if len(result.conditions) == 1:  # two at once lie on no curve
             probes[_trained_on(result)].append(result)
     families = []
-    for number, column in enumerate(board, 1):
+    for column in board:
         own = next(iter(column.cells.values())).results[0]
         here = [probe for probe in probes.get(_trained_on(own), []) if _belongs(probe, own)]
         for condition in sorted({_condition(result) for result in here}):
@@ -92,7 +90,7 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
                 if len(at) > 1:
                     curves[name] = [_point(x, at[x], folder) for x in sorted(at)]
             if curves:
-                families.append(Family(number, column, condition, curves))
+                families.append(Family(column, condition, curves))
     return families
 
 

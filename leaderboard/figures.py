@@ -46,49 +46,49 @@ def draw_all(
         settings = _by_setting(board)
         if settings is not None:
             figures["settings"] = ("Aligned, rotated and partial clouds", settings)
-        for number, (column, comparison) in enumerate(zip(board, comparisons, strict=True), 1):
-            figures[f"accuracy_{number}"] = (
+        for column, comparison in zip(board, comparisons, strict=True):
+            figures[f"accuracy_{column.slug}"] = (
                 f"Accuracy with 95 % intervals over objects: {column.title}",
                 _accuracy(column, comparison),
             )
-            figures[f"visibility_{number}"] = (
+            figures[f"visibility_{column.slug}"] = (
                 f"Accuracy against the share of the surface that is seen: {column.title}",
                 _visibility(column),
             )
             seen = _pose_visibility(column, folder)
             if seen is not None:
-                figures[f"pose_visibility_{number}"] = (
+                figures[f"pose_visibility_{column.slug}"] = (
                     f"Pose error against the share of the surface that is seen: {column.title}",
                     seen,
                 )
-            figures[f"cost_{number}"] = (
+            figures[f"cost_{column.slug}"] = (
                 f"Accuracy against multiply-adds of one cloud: {column.title}", _cost(column),
             )  # fmt: skip
             pose = _top_k(column)
             if pose is not None:
-                figures[f"pose_{number}"] = (
+                figures[f"pose_{column.slug}"] = (
                     f"Top-k accuracy of the pose bin: {column.title}",
                     pose,
                 )
             poses = _ensemble(column)
             if poses is not None:
-                figures[f"ensemble_{number}"] = (
+                figures[f"ensemble_{column.slug}"] = (
                     f"Accuracy against the number of poses that decide: {column.title}",
                     poses,
                 )
-            figures[f"confusion_{number}"] = (
+            figures[f"confusion_{column.slug}"] = (
                 f"Confusion of {row_title(column.cells[ranked(column)[0]].results[0])}, all seeds: "
                 f"{column.title}",
                 _confusion(column, folder),
             )
         for family in families:
             title = f"the {family.axis}: {family.column.title}"
-            figures[f"{family.condition}_{family.number}"] = (
+            figures[f"{family.condition}_{family.column.slug}"] = (
                 f"Accuracy against {title}", _curves(family),
             )  # fmt: skip
             poses = _pose_curves(family)
             if poses is not None:
-                figures[f"pose_{family.condition}_{family.number}"] = (
+                figures[f"pose_{family.condition}_{family.column.slug}"] = (
                     f"Pose error against {title}", poses,
                 )  # fmt: skip
     return figures

@@ -55,11 +55,13 @@ def as_html(
         for number, gallery in enumerate(galleries)
         for sample in gallery
     ]
+    # A figure's file ends in the name of its column, where it is of one.
+    numbers = {column.slug: str(number) for number, column in enumerate(board)}
     return template.render(
         columns=columns,
         layouts=layouts,
         figures=[
-            (_column_of(stem), caption, base64.b64encode(svg).decode())
+            (numbers.get(stem.rpartition("_")[2], ""), caption, base64.b64encode(svg).decode())
             for stem, (caption, svg) in figures.items()
         ],
         samples=samples,
@@ -125,12 +127,6 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
         ],
         "protocol": first.protocol,
     }  # fmt: skip
-
-
-def _column_of(stem: str) -> str:
-    """The number, from 0, of the column a figure is of, as its file's stem ends; or ""."""
-    number = stem.rpartition("_")[2]
-    return str(int(number) - 1) if number.isdigit() else ""
 
 
 def _polyline(values: list[float]) -> str:
