@@ -60,8 +60,8 @@ class Column:
 
     @property
     def slug(self) -> str:
-        """The title in letters, digits, dots and hyphens: what its figures' files are named by."""
-        return re.sub(r"[^A-Za-z0-9.]+", "-", self.title.replace("→", "to")).strip("-").lower()
+        """The title without spaces and other signs, what the files of its figures are named by."""
+        return re.sub(r"[^A-Za-z0-9.+]+", "-", self.title.replace("→", "to")).strip("-").lower()
 
 
 def make_board(results: Iterable[Result]) -> list[Column]:

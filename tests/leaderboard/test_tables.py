@@ -13,7 +13,7 @@ import time
 import numpy as np
 import pytest
 
-from leaderboard.board import make_board, ranked
+from leaderboard.board import Column, make_board, ranked
 from leaderboard.build import build_leaderboard
 from leaderboard.check import problems
 from leaderboard.comparison import compare
@@ -247,3 +247,19 @@ def test_the_run_name_is_a_file_name_and_depends_on_what_the_run_is():
         names.add(dataclasses.replace(base, **change).run_name)
     assert len(names) == 4
     assert all(re.fullmatch(r"[A-Za-z0-9._=+-]+", name) for name in names)
+
+
+def test_columns_that_differ_in_protocol_or_direction_name_their_figures_differently():
+    titles = [
+        "pm40-parametric, partial, mini", "pm40-parametric, partial, mini+",
+        "pm40-parametric → ps15-rooms, partial, mini",
+        "ps15-rooms → pm40-parametric, partial, mini",
+        "my_data, aligned → rotated, mini (1a2b3c 4d5e6f 789abc)",
+    ]  # fmt: skip
+    slugs = [Column((), title, "").slug for title in titles]
+    assert len(set(slugs)) == len(titles)
+    assert slugs[1:3] == [
+        "pm40-parametric-partial-mini+", "pm40-parametric-to-ps15-rooms-partial-mini",
+    ]  # fmt: skip
+    # What follows a file's last underscore is the column: the page looks it up by that.
+    assert not any("_" in slug for slug in slugs)
