@@ -33,6 +33,18 @@ def chunks(rows: int, values_per_row: int) -> list[slice]:
     return [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
 
 
+def maximum(y: Tensor, top: Tensor, index: Tensor | None) -> None:
+    """Writes the maximum over n of (G,n,C) to ``top`` (G,C), the first n that has it to ``index``.
+
+    Comparing with the maximum is several times faster than a maximum with index.
+    """
+    torch.amax(y, dim=1, out=top)
+    if index is not None:
+        rank = torch.arange(y.shape[1], dtype=index.dtype, device=y.device)[:, None]
+        hit = torch.where(y == top[:, None], rank, y.shape[1] - 1)
+        torch.amin(hit, dim=1, out=index)
+
+
 class _Moments(torch.autograd.Function):
     """Mean (C,) and covariance (C,C) over the rows of (M,C), divided by M."""
 
@@ -69,14 +81,9 @@ class _LinearMax(torch.autograd.Function):
         needs_index = any(ctx.needs_input_grad)
         top = x.new_zeros(groups, len(weight))
         index = torch.zeros(groups, len(weight), dtype=torch.int32, device=x.device)
-        rank = torch.arange(size, dtype=torch.int32, device=x.device)[:, None]
         for part in chunks(groups, size * len(weight)):
             y = F.linear(x[part], weight, bias)
-            torch.amax(y, dim=1, out=top[part])
-            if needs_index:
-                # Comparing with the maximum is several times faster than a maximum with index.
-                hit = torch.where(y == top[part, None], rank, size - 1)
-                torch.amin(hit, dim=1, out=index[part])
+            maximum(y, top[part], index[part] if needs_index else None)
         ctx.save_for_backward(x, weight, index)
         return top
 

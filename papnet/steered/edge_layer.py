@@ -22,7 +22,7 @@ from torch.autograd.function import once_differentiable
 
 from baselines.edges import edge_moments
 from baselines.points import flat_index, full_precision
-from baselines.shared_mlp import Normed, autocast, chunks
+from baselines.shared_mlp import Normed, autocast, chunks, maximum
 
 
 class Edges(NamedTuple):
@@ -83,16 +83,11 @@ class _EdgeMax(torch.autograd.Function):
         needs_index = any(ctx.needs_input_grad)
         top = a.new_zeros(points, len(weight))
         chosen = torch.zeros(points, len(weight), dtype=torch.int32, device=a.device)
-        rank = torch.arange(k, dtype=torch.int32, device=a.device)[:, None]
         for part in chunks(points, k * len(weight)):
             y = a.index_select(0, index[part].flatten()).view(-1, k, len(weight))
             y.flatten(0, 1).addmm_(e[part].flatten(0, 1), weight.T)
             y.sub_(penalty[part, :, None])
-            torch.amax(y, dim=1, out=top[part])
-            if needs_index:
-                # Comparing with the maximum is several times faster than a maximum with index.
-                hit = torch.where(y == top[part, None], rank, k - 1)
-                torch.amin(hit, dim=1, out=chosen[part])
+            maximum(y, top[part], chosen[part] if needs_index else None)
         ctx.save_for_backward(e, weight, index, chosen)
         return top
 

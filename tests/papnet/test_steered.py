@@ -299,11 +299,12 @@ def test_the_twin_has_the_same_encoder_and_about_as_many_parameters() -> None:
         (describe,) = [m for m in model.modules() if isinstance(m, Describe)]
         return {name: value.shape for name, value in describe.state_dict().items()}
 
-    for options in ({}, {"lmax": 1, "channels": 32}):
+    # In a small one the twin's wider last layer shows: it reads 384 features, the other 312.
+    for options, apart in (({}, 0.01), ({"lmax": 1, "channels": 32}, 0.02)):
         one, other = PAPNetSteered(40, **options), PAPNetSteeredNoPose(40, **options)
         assert shapes(one) == shapes(other)
         counts = [sum(p.numel() for p in m.parameters()) for m in (one, other)]
-        assert counts[1] == pytest.approx(counts[0], rel=0.02)
+        assert counts[1] == pytest.approx(counts[0], rel=apart)
 
 
 @pytest.mark.parametrize(
