@@ -19,6 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from baselines.balls import Balls
 from baselines.points import flat_index, full_precision
 from baselines.shared_mlp import chunks
 
@@ -81,30 +82,31 @@ class _NeighbourMax(torch.autograd.Function):
 
 
 class _EdgeReLU(torch.autograd.Function):
-    """ReLU of a[index] + c for every edge; a (P,C), c (Q,C), index (Q,n) → (Q,n,C)."""
+    """ReLU of a[point] + c[centre], a row for each edge; a (P,C), c (Q,C), (R,), (R,) → (R,C)."""
 
     @staticmethod
-    def forward(ctx: Any, a: Tensor, c: Tensor, index: Tensor) -> Tensor:
-        edges = a.index_select(0, index.flatten()).view(*index.shape, -1)
-        edges.add_(c[:, None]).relu_()
-        ctx.save_for_backward(edges, index)
-        ctx.points = len(a)
+    def forward(ctx: Any, a: Tensor, c: Tensor, point: Tensor, centre: Tensor) -> Tensor:
+        edges = a.index_select(0, point)
+        for part in chunks(len(edges), edges.shape[1]):
+            edges[part].add_(c.index_select(0, centre[part])).relu_()
+        ctx.save_for_backward(edges, point, centre)
+        ctx.rows = len(a), len(c)
         return edges
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, d_edges: Tensor) -> tuple[Tensor, Tensor, None]:
-        edges, index = ctx.saved_tensors
+    def backward(ctx: Any, d_edges: Tensor) -> tuple[Tensor, Tensor, None, None]:
+        edges, point, centre = ctx.saved_tensors
         d_edges = torch.ops.aten.threshold_backward(d_edges, edges, 0)
-        d_a = edges.new_zeros(ctx.points, edges.shape[-1])
-        d_a.index_add_(0, index.flatten(), d_edges.flatten(0, 1))
-        return d_a, d_edges.sum(dim=1), None
+        d_a, d_c = (edges.new_zeros(rows, edges.shape[1]) for rows in ctx.rows)
+        d_a.index_add_(0, point, d_edges)
+        d_c.index_add_(0, centre, d_edges)
+        return d_a, d_c, None, None
 
 
-def edge_relu(a: Tensor, c: Tensor, index: Tensor) -> Tensor:
-    """ReLU of a_j + c_i for every edge: (B,N,C), (B,S,C), neighbours (B,S,n) → (B,S,n,C)."""
-    flat = flat_index(index, a.shape[1]).flatten(0, 1)
-    return _EdgeReLU.apply(a.flatten(0, 1), c.flatten(0, 1), flat).view(*index.shape, -1)
+def edge_relu(a: Tensor, c: Tensor, balls: Balls) -> Tensor:
+    """ReLU of a_j + c_i for every row of the balls: (B,N,C), (B,S,C) → (R,C)."""
+    return _EdgeReLU.apply(a.flatten(0, 1), c.flatten(0, 1), balls.point, balls.centre)
 
 
 def edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:

@@ -14,6 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from baselines.balls import Balls, without_padding
 from baselines.edges import edge_moments, edge_relu
 from baselines.points import ball_query, farthest_points, gather, normalise
 from baselines.published import tensors
@@ -77,9 +78,9 @@ class GroupLinear(Normed):
         self.use_xyz = use_xyz
 
     def forward(
-        self, xyz: Tensor, features: Tensor | None, centres: Tensor, index: Tensor
+        self, xyz: Tensor, features: Tensor | None, centres: Tensor, balls: Balls
     ) -> Tensor:
-        """(B,N,3), (B,N,C), (B,S,3), neighbours (B,S,n) → (B,S,n,C_out)."""
+        """(B,N,3), (B,N,C), (B,S,3), their balls → rows (R,C_out)."""
         weight, bias = self.linear.weight, self.linear.bias
         if self.use_xyz:
             x = xyz if features is None else torch.cat([xyz.to(features.dtype), features], dim=-1)
@@ -91,10 +92,10 @@ class GroupLinear(Normed):
         a = F.linear(x, weight)
         moments = None
         if self.norm.training:
-            mean, var = edge_moments(a, c, index)
+            mean, var = edge_moments(a, c, balls.index)
             moments = mean + bias, var
-        scale, shift = self.scale_and_shift(moments, index.numel())
-        return edge_relu(a * scale, (c + bias) * scale + shift, index)
+        scale, shift = self.scale_and_shift(moments, balls.index.numel())
+        return edge_relu(a * scale, (c + bias) * scale + shift, balls)
 
 
 class SetAbstraction(nn.Module):
@@ -121,8 +122,9 @@ class SetAbstraction(nn.Module):
         for scale, first, rest in zip(self.scales, self.first, self.rest, strict=True):
             assert isinstance(rest, SharedMLP)
             index = ball_query(centres, xyz, scale.radius, scale.count, self.nearest)
-            pooled.append(rest.max(first(xyz, features, centres, index)))
-        return torch.cat(pooled, dim=-1)
+            balls = without_padding(index, xyz.shape[1])
+            pooled.append(rest.max_in_balls(first(xyz, features, centres, balls), balls))
+        return torch.cat(pooled, dim=-1).unflatten(0, centres.shape[:2])
 
 
 class PointNet2(nn.Module):

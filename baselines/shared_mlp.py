@@ -24,6 +24,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from baselines.balls import Balls
+
 CHUNK = 1 << 20
 """Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache."""
 
@@ -46,26 +48,29 @@ def maximum(y: Tensor, top: Tensor, index: Tensor | None) -> None:
 
 
 class _Moments(torch.autograd.Function):
-    """Mean (C,) and covariance (C,C) over the rows of (M,C), divided by M."""
+    """Mean (C,) and covariance (C,C) over the rows of (R,C), row r counting w_r times of M = Σw."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(ctx: Any, x: Tensor, count: int, w: Tensor | None) -> tuple[Tensor, Tensor]:
         rows, channels = x.shape
-        mean = x.mean(dim=0)
+        mean = x.mean(dim=0) if w is None else (w @ x) / count
         covariance = x.new_zeros(channels, channels)
         for part in chunks(rows, channels):
             centred = x[part] - mean
-            covariance.addmm_(centred.T, centred)
-        ctx.save_for_backward(x, mean)
-        return mean, covariance / rows
+            weighted = centred if w is None else centred * w[part, None]
+            covariance.addmm_(weighted.T, centred)
+        ctx.save_for_backward(x, mean, w)
+        ctx.count = count
+        return mean, covariance / count
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, d_mean: Tensor, d_covariance: Tensor) -> Tensor:
-        x, mean = ctx.saved_tensors
-        # d/dx of Σ(x−m)(x−m)ᵀ/M; the term through the mean vanishes, as Σ(x−m) does.
-        weight = (d_covariance + d_covariance.T) / len(x)
-        return torch.addmm(d_mean / len(x) - mean @ weight, x, weight)
+    def backward(ctx: Any, d_mean: Tensor, d_covariance: Tensor) -> tuple[Tensor, None, None]:
+        x, mean, w = ctx.saved_tensors
+        # d/dx of Σ w(x−m)(x−m)ᵀ/M; the term through the mean vanishes, as Σ w(x−m) does.
+        map_x = (d_covariance + d_covariance.T) / ctx.count
+        d_x = torch.addmm(d_mean / ctx.count - mean @ map_x, x, map_x)
+        return d_x if w is None else d_x.mul_(w[:, None]), None, None
 
 
 class _LinearMax(torch.autograd.Function):
@@ -172,13 +177,21 @@ class Normed(nn.Module):
 class NormLinear(Normed):
     """``nn.Linear`` and ``nn.BatchNorm1d`` over all leading dimensions, as one matrix product."""
 
-    def folded(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Weight (C_out,C_in) and bias (C_out,) such that x·weightᵀ + bias is the layer's value."""
+    def folded(self, x: Tensor, balls: Balls | None = None) -> tuple[Tensor, Tensor]:
+        """Weight (C_out,C_in) and bias (C_out,) such that x·weightᵀ + bias is the layer's value.
+
+        Args:
+            x: (…,C_in).
+            balls: what the rows of x (R,C_in) are, if they do not count alike.
+        """
         weight, bias = self.linear.weight, self.linear.bias
         with torch.autocast(x.device.type, enabled=False):
-            moments, count = None, x.numel() // x.shape[-1]
+            rows = x.to(weight.dtype).reshape(-1, x.shape[-1])
+            count = len(rows) if balls is None else balls.index.numel()
+            moments = None
             if self.norm.training:
-                x_mean, covariance = _Moments.apply(x.to(weight.dtype).reshape(count, -1))
+                w = None if balls is None else balls.weight.to(weight.dtype)
+                x_mean, covariance = _Moments.apply(rows, count, w)
                 var = ((weight @ covariance) * weight).sum(dim=1).clamp_min(0)
                 moments = F.linear(x_mean, weight, bias), var
             scale, shift = self.scale_and_shift(moments, count)
@@ -190,12 +203,26 @@ class NormLinear(Normed):
         """(…,C_in) → (…,C_out), normalised, without activation."""
         return F.linear(x, *self.folded(x))
 
+    def in_balls(self, x: Tensor, balls: Balls) -> Tensor:
+        """Rows (R,C_in) → (R,C_out), as ``forward`` of the padded balls."""
+        return F.linear(x, *self.folded(x, balls))
+
     def max(self, x: Tensor) -> Tensor:
         """(…,n,C_in) → (…,C_out): the largest normalised value over n.
 
         A rising activation may follow the maximum instead of preceding it: it picks the same point.
         """
         return linear_max(x, *self.folded(x))
+
+    def max_in_balls(self, x: Tensor, balls: Balls) -> Tensor:
+        """Rows (R,C_in) → (Q,C_out): the same over each ball."""
+        weight, bias = self.folded(x, balls)
+        blocks = x.split([number * length for number, length in balls.blocks])
+        tops = [
+            linear_max(block.unflatten(0, shape), weight, bias)
+            for block, shape in zip(blocks, balls.blocks, strict=True)
+        ]
+        return torch.cat(tops).index_select(0, balls.place)
 
 
 class SharedMLP(nn.ModuleList):
@@ -213,6 +240,15 @@ class SharedMLP(nn.ModuleList):
         *inner, last = self
         assert isinstance(last, NormLinear)
         return F.relu_(last.max(activated(inner, x)))
+
+    def max_in_balls(self, x: Tensor, balls: Balls) -> Tensor:
+        """Rows (R,C) → (Q,C_out): the same over each ball."""
+        *inner, last = self
+        for layer in inner:
+            assert isinstance(layer, NormLinear)
+            x = F.relu_(layer.in_balls(x, balls))
+        assert isinstance(last, NormLinear)
+        return F.relu_(last.max_in_balls(x, balls))
 
 
 def activated(layers: Iterable[nn.Module], x: Tensor, slope: float = 0.0) -> Tensor:

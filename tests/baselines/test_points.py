@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from baselines import edges, points, rri, shared_mlp
+from baselines.balls import without_padding
 from baselines.dgcnn import SLOPE, EdgeConv
 from baselines.itnet import ITNetPointNet2
 from baselines.pointnet import PointNet, orthogonality_penalty
@@ -254,8 +255,11 @@ class TestLayersEqualTheirPlainForm:
         index = points.ball_query(centres, clouds, 0.4, 10)
         relative = [points.gather(clouds, index) - centres[:, :, None]] if use_xyz else []
         grouped = torch.cat([*relative, points.gather(features, index)], dim=-1)
-        outputs = (ours(clouds, features, centres, index), normed(*theirs, grouped).relu())
-        assert_same(ours, theirs, outputs, (features,))
+        balls = without_padding(index, clouds.shape[1])
+        rows = ours(clouds, features, centres, balls) * balls.weight[:, None]
+        sums = rows.new_zeros(90, 16).index_add(0, balls.centre, rows).view(3, 30, 16)
+        expected = normed(*theirs, grouped).relu().sum(dim=2)
+        assert_same(ours, theirs, (sums, expected), (features,))
 
 
 class TestLayers:
@@ -265,10 +269,13 @@ class TestLayers:
 
         index = torch.from_numpy(rng.integers(0, 7, (5, 4)))
         check = torch.autograd.gradcheck
-        assert check(shared_mlp._Moments.apply, (values(9, 3),))
+        weight = torch.from_numpy(rng.integers(0, 4, 9)).double()
+        assert check(shared_mlp._Moments.apply, (values(9, 3), 9, None))
+        assert check(shared_mlp._Moments.apply, (values(9, 3), int(weight.sum()), weight))
         assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
         assert check(edges._EdgeMoments.apply, (values(7, 3), values(5, 3), index))
-        assert check(edges._EdgeReLU.apply, (values(7, 3), values(5, 3), index))
+        centre = torch.arange(5).repeat_interleave(4)
+        assert check(edges._EdgeReLU.apply, (values(7, 3), values(5, 3), index.flatten(), centre))
         assert check(edges._NeighbourMax.apply, (values(7, 3), index))
 
     def test_work_in_parts_gives_the_same(
@@ -290,7 +297,7 @@ class TestLayers:
     def test_variance_survives_a_large_mean(self) -> None:
         """Values near 100 with spread 0.01 keep three digits of their variance."""
         x = 100 + 0.01 * torch.randn(5000, 4, generator=torch.Generator().manual_seed(0))
-        _, covariance = shared_mlp._Moments.apply(x)
+        _, covariance = shared_mlp._Moments.apply(x, len(x), None)
         expected = np.cov(x.double().numpy().T, bias=True)
         np.testing.assert_allclose(covariance.diagonal(), expected.diagonal(), rtol=1e-3)
 
