@@ -57,13 +57,14 @@ class GatedBlock(nn.Module):
         pre = pre + bias
         scalars, gates = pre.split([len(self.scalar_bias), len(self.gate_bias)], dim=1)
         parts = [torch.relu(scalars)]
-        if rest.shape[1]:
-            gates = torch.sigmoid(gates)
-            first = channel = 0
-            for degree, m in enumerate(self.fields_out.multiplicities):
-                if degree and m:
-                    field = rest[:, channel : channel + m * (2 * degree + 1)]
-                    gate = gates[:, first : first + m, None]
-                    parts.append((field.unflatten(1, (m, 2 * degree + 1)) * gate).flatten(1, 2))
-                    first, channel = first + m, channel + m * (2 * degree + 1)
+        if not rest.shape[1]:
+            return parts[0]
+        gates = torch.sigmoid(gates)
+        first = channel = 0
+        for degree, m in enumerate(self.fields_out.multiplicities):
+            if degree and m:
+                field = rest[:, channel : channel + m * (2 * degree + 1)]
+                gate = gates[:, first : first + m, None]
+                parts.append((field.unflatten(1, (m, 2 * degree + 1)) * gate).flatten(1, 2))
+                first, channel = first + m, channel + m * (2 * degree + 1)
         return torch.cat(parts, dim=1)

@@ -1,4 +1,4 @@
-"""The steerable layers: kernel constraint, equivariance, two formulations, published weights."""
+"""The steerable layers: kernel constraint, equivariance, formulations, published weights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from baselines.steerable.published import (
     field_to_published,
     gated_block_state,
 )
+from baselines.steerable.spectral import Plan, convolve, transform
 from partialbench.errors import InputError
+
+FORMULATIONS = ("assembled", "factorised", "spectral")
 
 # models.md / se3cnn@546bc68: number of basis elements [l_out][l_in].
 COUNTS = {
@@ -107,7 +110,7 @@ def test_degree_one_components_are_x_y_z() -> None:
     assert cycle.tolist() == pytest.approx([2, 3, 1])
 
 
-@pytest.mark.parametrize("formulation", ["assembled", "factorised"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize(("size", "stride"), [(3, 1), (5, 2)])
 def test_gated_block_is_equivariant_to_quarter_turns(
     formulation: str, size: int, stride: int
@@ -135,14 +138,17 @@ def test_gated_block_is_equivariant_to_quarter_turns(
         ((1, 2, 1), (2, 1, 1), 5, 2, 4),
         ((1,), (2, 2), 3, 1, 1),
         ((0, 2), (2, 0, 1), 3, 1, 0),
+        ((2, 1), (20,), 5, 2, 4),  # spectral, mixed later
     ],
 )
-def test_both_formulations_are_one_map_with_one_gradient(
-    fields_in: tuple, fields_out: tuple, size: int, stride: int, padding: int
+@pytest.mark.parametrize("volume", [(8, 7, 9), (7, 7, 7), (8, 8, 8)])
+def test_all_formulations_are_one_map_with_one_gradient(
+    volume: tuple, fields_in: tuple, fields_out: tuple, size: int, stride: int, padding: int
 ) -> None:
     torch.manual_seed(0)
     results = []
-    a, b = (
+    cube = len(set(volume)) == 1
+    layers = [
         SteerableConvolution(
             Fields(fields_in),
             Fields(fields_out),
@@ -151,19 +157,55 @@ def test_both_formulations_are_one_map_with_one_gradient(
             stride=stride,
             formulation=formulation,
         ).double()
-        for formulation in ("assembled", "factorised")
-    )
-    b.load_state_dict(a.state_dict())
-    x = torch.randn(3, a.fields_in.channels, 8, 7, 9, dtype=torch.float64)
-    for layer in (a, b):
+        for formulation in FORMULATIONS[: 3 if cube else 2]
+    ]
+    x = torch.randn(3, layers[0].fields_in.channels, *volume, dtype=torch.float64)
+    for layer in layers[1:]:
+        layer.load_state_dict(layers[0].state_dict())
+    for layer in layers:
         leaf = x.clone().requires_grad_()
         y = layer(leaf)
         weight = torch.linspace(-1, 1, y.numel(), dtype=y.dtype).view(y.shape).sin()
         (y * weight).sum().backward()
         gradients = [leaf.grad, *(p.grad for p in layer.parameters())]
         results.append([y.detach(), *gradients, layer.running_mean, layer.running_var])
-    for one, other in zip(*results, strict=True):
-        assert torch.allclose(one, other, rtol=1e-9, atol=1e-8)
+    for one, *others in zip(*results, strict=True):
+        for other in others:
+            assert torch.allclose(one, other, rtol=1e-9, atol=1e-8)
+
+
+def test_spectral_needs_a_cube_and_auto_takes_it_where_it_is_cheaper() -> None:
+    layer = SteerableConvolution(Fields((1,)), Fields((1,)), 5, padding=4, formulation="spectral")
+    with pytest.raises(ValueError, match="needs a cube"):
+        layer(torch.zeros(1, 1, 8, 8, 9))
+    wide = Fields((16, 16))
+    auto = SteerableConvolution(wide, wide, 5, padding=4)
+    x = torch.zeros(8, wide.channels, 9, 9, 9)
+    assert auto._plan(x, low_precision=False) == Plan(9, 5, 4, 1)
+    assert auto._plan(x, low_precision=True) is None
+    assert auto._plan(x[..., :-1], low_precision=False) is None
+    small = SteerableConvolution(wide, wide, 3, padding=1)
+    assert small._plan(x[:1], low_precision=False) is None
+    with torch.no_grad():  # a dense convolution alone is fast, its gradients are not
+        assert small._plan(x, low_precision=False) is None
+
+
+@pytest.mark.parametrize(("size", "padding", "stride", "edge"), [(5, 4, 1, 9), (3, 1, 2, 6)])
+def test_frequencies_are_no_more_than_it_takes(
+    size: int, padding: int, stride: int, edge: int
+) -> None:
+    """One voxel less in the period, and an output reads what is a period off."""
+    plan = Plan(edge, size, padding, stride)
+    x = torch.randn(2, 3, edge, edge, edge, dtype=torch.float64)
+    kernel = torch.randn(4, 3, size, size, size, dtype=torch.float64)
+    expected = torch.nn.functional.conv3d(x, kernel, stride=stride, padding=padding)
+    assert torch.allclose(convolve(x, transform(kernel, plan), plan), expected)
+
+    class Shorter(Plan):
+        period = plan.period - 1
+
+    short = Shorter(edge, size, padding, stride)
+    assert not torch.allclose(convolve(x, transform(kernel, short), short), expected)
 
 
 def test_slabs_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,20 +225,21 @@ def test_slabs_do_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None
     assert torch.allclose(gradient, x.grad, atol=1e-10)
 
 
-def test_kernel_is_kept_in_evaluation_until_a_weight_changes() -> None:
-    layer = SteerableConvolution(Fields((1,)), Fields((1, 1)), 3, formulation="assembled").eval()
+@pytest.mark.parametrize("formulation", ["assembled", "spectral"])
+def test_kernel_is_kept_in_evaluation_until_a_weight_changes(formulation: str) -> None:
+    layer = SteerableConvolution(Fields((1,)), Fields((1, 1)), 3, formulation=formulation).eval()
     x = torch.randn(1, 1, 5, 5, 5)
     with torch.no_grad():
         first = layer(x)
-        kept = layer._cache
+        (kept,) = layer._cache.values()
         assert torch.equal(layer(x), first)
-        assert layer._cache is kept
+        assert list(layer._cache.values()) == [kept]
         layer.weights["0"].mul_(2)
         assert torch.allclose(layer(x)[:, :1], 2 * first[:, :1], atol=1e-6)
         layer.load_state_dict({k: torch.zeros_like(v) for k, v in layer.state_dict().items()})
         assert layer(x).abs().max() == 0
     layer.train()
-    assert layer._cache is None
+    assert not layer._cache
 
 
 def test_autocast_runs_in_low_precision_and_stays_close() -> None:
@@ -214,7 +257,7 @@ def test_autocast_runs_in_low_precision_and_stays_close() -> None:
         assert all(p.grad is not None and p.grad.isfinite().all() for p in block.parameters())
 
 
-@pytest.mark.parametrize("formulation", ["assembled", "factorised"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize(
     ("name", "fields_in", "fields_out", "size", "padding", "stride"),
     [
