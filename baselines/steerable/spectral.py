@@ -252,7 +252,7 @@ def convolve(x: Tensor, spectrum: Tensor, plan: Plan) -> Tensor:
 
 
 def convolve_factorised(x: Tensor, geometry: Geometry, weights: list[Tensor], plan: Plan) -> Tensor:
-    """The steerable convolution of a cube: the fixed basis in the frequency domain, then the mixing.
+    """The steerable convolution of a cube: its basis in the frequency domain, then the mixing.
 
     Where few fields become many scalars, the basis makes fewer volumes than come out.
 
