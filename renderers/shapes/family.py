@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.seeding import generator
 from renderers.shapes.solids import Solid, join
 
-GENERATION = 1
+GENERATION = 2
 """Number of the families' edition: raise it when any object changes, it enters every digest."""
 
 MIN_FACES, MAX_FACES = 300, 20_000

@@ -267,8 +267,13 @@ def sweep(
         side = np.array([1.0, 0, 0])
     sides = np.zeros_like(path)
     for i, t in enumerate(tangent):  # parallel transport, one point after the other
-        side = side - t * (side @ t)
-        side /= np.linalg.norm(side)
+        across = side - t * (side @ t)
+        # Where a hoop's corners turn the bar by 90° at once, the side comes to lie along the bar
+        # and what is left of it is rounding: the turn between the directions says where it goes.
+        if np.linalg.norm(across) < 1e-6:
+            last = tangent[i - 1]
+            across = side - (last + t) * (side @ t) / (1 + last @ t)
+        side = across / np.linalg.norm(across)
         sides[i] = side
     ups = np.cross(tangent, sides)
     size = np.ones(len(path)) if scale is None else np.asarray(scale, np.float64)

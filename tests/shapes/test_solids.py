@@ -146,3 +146,16 @@ def test_join_keeps_every_part() -> None:
     parts = [box(1, 1, 1).at(x=3 * i) for i in range(3)]
     assert len(mesh(join(parts[0], parts[1:])).split()) == 3
     assert len(join([]).faces) == 0
+
+
+@pytest.mark.parametrize("noise", [1e-15, 1e-12])
+def test_a_hoop_does_not_depend_on_rounding(noise: float) -> None:
+    """Two right angles, one after the other: the bar turns by 90° from one corner to the next."""
+    path = np.array([(1.0, 0, 1), (1, 0, 0), (-1, 0, 0), (-1, 0, 1)])
+    hoop = tube(path, 0.1, 8)
+    nudge = noise * np.random.default_rng(0).standard_normal(path.shape)
+    np.testing.assert_allclose(tube(path + nudge, 0.1, 8).vertices, hoop.vertices, atol=100 * noise)
+    # The hoop is its own mirror image.
+    mirrored = hoop.vertices * (-1, 1, 1)
+    nearest = np.linalg.norm(mirrored[:, None] - hoop.vertices, axis=-1).min(axis=1)
+    assert nearest.max() < 1e-9
