@@ -199,12 +199,8 @@ class NormLinear(Normed):
                 shift = torch.addcmul(shift, scale, bias)
             return scale[:, None] * weight, shift
 
-    def forward(self, x: Tensor) -> Tensor:
-        """(…,C_in) → (…,C_out), normalised, without activation."""
-        return F.linear(x, *self.folded(x))
-
-    def in_balls(self, x: Tensor, balls: Balls) -> Tensor:
-        """Rows (R,C_in) → (R,C_out), as ``forward`` of the padded balls."""
+    def forward(self, x: Tensor, balls: Balls | None = None) -> Tensor:
+        """(…,C_in) → (…,C_out), normalised, without activation; ``balls`` as for ``folded``."""
         return F.linear(x, *self.folded(x, balls))
 
     def max(self, x: Tensor) -> Tensor:
@@ -245,8 +241,7 @@ class SharedMLP(nn.ModuleList):
         """Rows (R,C) → (Q,C_out): the same over each ball."""
         *inner, last = self
         for layer in inner:
-            assert isinstance(layer, NormLinear)
-            x = F.relu_(layer.in_balls(x, balls))
+            x = F.relu_(layer(x, balls))
         assert isinstance(last, NormLinear)
         return F.relu_(last.max_in_balls(x, balls))
 

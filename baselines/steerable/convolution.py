@@ -12,8 +12,6 @@ spectral     the dense kernel's transform meets the volume's, frequency by frequ
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import torch
 from torch import Tensor, nn
 
@@ -74,13 +72,6 @@ class SteerableConvolution(nn.Module):
         self.momentum, self.eps = momentum, eps
         self.formulation = self._choose(formulation)
         self._may_be_spectral = formulation in ("auto", "spectral")
-        # Spectral with its basis first, where that makes fewer volumes than come out.
-        mixed = sum(
-            m_in * (2 * l_out + 1) * len(kernel_basis(l_in, l_out, size)[1])
-            for l_in, m_in, _ in fields_in.degrees
-            for l_out, _, _ in fields_out.degrees
-        )
-        self._mixes_later = mixed < fields_out.channels
         self.weights = nn.ParameterDict()
         fields_before = {}
         start = 0
@@ -101,7 +92,9 @@ class SteerableConvolution(nn.Module):
             self.weights[str(l_out)] = nn.Parameter(torch.randn(m_out, len(column)))
         self.register_buffer("running_mean", torch.zeros(fields_in.multiplicities[0]))
         self.register_buffer("running_var", torch.ones(fields_in.count))
-        self._cache: dict[Plan | None, tuple[tuple, Tensor, Tensor]] = {}
+        # Spectral with its basis first, where that makes fewer volumes than come out.
+        self._mixes_later = self._geometry(padding).mixed_channels < fields_out.channels
+        self._cache: tuple[tuple, Tensor, Tensor] | None = None
 
     def _constant(self, name: str, value: Tensor) -> None:
         self.register_buffer(name, value, persistent=False)
@@ -133,7 +126,7 @@ class SteerableConvolution(nn.Module):
         return "factorised" if dense > _FACTORISED_ABOVE * factorised else "assembled"
 
     def train(self, mode: bool = True) -> SteerableConvolution:
-        self._cache = {}
+        self._cache = None
         return super().train(mode)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -155,7 +148,7 @@ class SteerableConvolution(nn.Module):
                 y = convolve_factorised(x, self._geometry(self.padding), weights, plan)
                 return y + bias.view(-1, 1, 1, 1)
             if plan:
-                spectrum, bias = self._normalised_spectrum(mean, var, plan)
+                spectrum, bias = self._normalised_kernel(mean, var, plan)
                 return convolve(x.to(spectrum.dtype), spectrum, plan) + bias.view(-1, 1, 1, 1)
             if low_precision:
                 # Centring by a bias subtracts two large numbers where a field is nearly constant,
@@ -279,30 +272,20 @@ class SteerableConvolution(nn.Module):
         """
         return self._normalised_kernel(*self._statistics(x))
 
-    def _normalised_kernel(self, mean: Tensor, var: Tensor) -> tuple[Tensor, Tensor]:
-        def make() -> tuple[Tensor, Tensor]:
-            weights = self._normalised_weights(var)
-            return self.kernel(weights), self._bias(weights, mean)
-
-        return self._kept(None, make)
-
-    def _normalised_spectrum(self, mean: Tensor, var: Tensor, plan: Plan) -> tuple[Tensor, Tensor]:
-        def make() -> tuple[Tensor, Tensor]:
-            weights = self._normalised_weights(var)
-            return transform(self.kernel(weights), plan), self._bias(weights, mean)
-
-        return self._kept(plan, make)
-
-    def _kept(
-        self, plan: Plan | None, make: Callable[[], tuple[Tensor, Tensor]]
+    def _normalised_kernel(
+        self, mean: Tensor, var: Tensor, plan: Plan | None = None
     ) -> tuple[Tensor, Tensor]:
-        """What ``make`` returns; in evaluation the same until a weight or a statistic changes."""
-        if self.training or torch.is_grad_enabled():
-            return make()
+        """Kernel and bias; the kernel transformed, if there is a plan."""
         state = (*self.weights.values(), self.running_mean, self.running_var)
         # A tensor's version counts its in-place changes; its address changes with its device.
-        key = tuple((t.data_ptr(), t._version, t.dtype) for t in state)
-        if plan not in self._cache or self._cache[plan][0] != key:
-            # One at a time: a transformed kernel is large.
-            self._cache = {plan: (key, *make())}
-        return self._cache[plan][1:]
+        key = (plan, *((t.data_ptr(), t._version, t.dtype) for t in state))
+        keep = not self.training and not torch.is_grad_enabled()
+        if keep and self._cache is not None and self._cache[0] == key:
+            return self._cache[1:]
+        weights = self._normalised_weights(var)
+        kernel, bias = self.kernel(weights), self._bias(weights, mean)
+        if plan:
+            kernel = transform(kernel, plan)
+        if keep:
+            self._cache = (key, kernel, bias)
+        return kernel, bias

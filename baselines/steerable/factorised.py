@@ -50,6 +50,15 @@ class Geometry(NamedTuple):
             for row in self.basis
         ]
 
+    @property
+    def mixed_channels(self) -> int:
+        """Channels between the two halves: the rows, each of 2l_o+1 components."""
+        degrees = self.fields_out.degrees
+        return sum(
+            rows * (2 * degree + 1)
+            for rows, (degree, _, _) in zip(self.mixed_rows, degrees, strict=True)
+        )
+
 
 class _Slabs:
     """Forward and adjoint of the fixed half on slabs of a padded input."""
@@ -66,13 +75,9 @@ class _Slabs:
 
     def __iter__(self) -> Iterator[tuple[slice, slice, slice]]:
         """(samples, output planes, input planes) that cover the output."""
-        rows = sum(
-            n * (2 * degree + 1)
-            for n, (degree, _, _) in zip(self.g.mixed_rows, self.g.fields_out.degrees, strict=True)
-        )
         X, Y, Z = self.shape
         budget = _SLAB_BYTES["cpu" if self.padded.device.type == "cpu" else "cuda"]
-        plane = rows * Y * Z * self.padded.element_size()
+        plane = self.g.mixed_channels * Y * Z * self.padded.element_size()
         planes = max(1, min(X, budget // plane))
         samples = max(1, budget // (plane * X)) if planes == X else 1
         for n in range(0, len(self.padded), samples):

@@ -187,21 +187,6 @@ def _interleaved_kernel(kernel: Tensor, plan: Plan) -> Tensor:
     return kernel.permute(2, 4, 6, 3, 5, 7, 1, 0).reshape(T, T, T, -1)
 
 
-class _Transform(torch.autograd.Function):
-    """apply(kernel (T,T,T,M), plan) → K̂ (F,2,M)."""
-
-    @staticmethod
-    def forward(ctx: Any, kernel: Tensor, plan: Plan) -> Tensor:
-        ctx.plan = plan
-        return _analyse(kernel, _stages(plan, kernel.dtype, kernel.device).kernel)
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, d_spectrum: Tensor) -> tuple[Tensor, None]:
-        stage = _stages(ctx.plan, d_spectrum.dtype, d_spectrum.device).kernel
-        return _synthesise(d_spectrum, stage.adjoint()), None
-
-
 class _Convolve(torch.autograd.Function):
     """apply(x (B,C_in,X,X,X), K̂ (F,2·S³·C_in,C_out), plan) → (B,C_out,U,U,U)."""
 
@@ -242,7 +227,8 @@ class _Convolve(torch.autograd.Function):
 
 def transform(kernel: Tensor, plan: Plan) -> Tensor:
     """K̂ (F,2·S³·C_in,C_out) of a kernel (C_out,C_in,s,s,s), with gradient."""
-    spectrum = _Transform.apply(_interleaved_kernel(kernel, plan), plan)
+    stages = _stages(plan, kernel.dtype, kernel.device)
+    spectrum = _analyse(_interleaved_kernel(kernel, plan), stages.kernel)
     return spectrum.view(plan.frequencies, -1, len(kernel))
 
 
