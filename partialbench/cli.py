@@ -37,6 +37,7 @@ app.add_typer(cli_data.commands)
 
 class Preset(StrEnum):
     smoke = "smoke"
+    small = "small"
     mini = "mini"
     paper = "paper"
 
@@ -93,7 +94,7 @@ def evaluate(
         Path | None, typer.Option(help="test these weights instead of training")
     ] = None,
     preset: Annotated[
-        Preset, typer.Option(help="how much: a minute, real use, the paper's scale")
+        Preset, typer.Option(help="how much: a minute; eight passes; real use; the paper's scale")
     ] = Preset.mini,
     seeds: Annotated[int, typer.Option(help="how many trainings, one record each")] = 1,
     first_seed: Annotated[int, typer.Option(help="count seeds from here")] = 0,
@@ -153,7 +154,7 @@ def tune(
         typer.Option("--try", help="a recipe: lr=0.01, or lr=0.01,batch_size=16 (repeatable)"),
     ],
     preset: Annotated[
-        Preset, typer.Option(help="how much: a minute, real use, the paper's scale")
+        Preset, typer.Option(help="how much: a minute; eight passes; real use; the paper's scale")
     ] = Preset.mini,
     seed: Annotated[int, typer.Option(help="of every trial")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",

@@ -7,9 +7,12 @@ level.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench.geometry import portable
 from partialbench.geometry.rotations import axis_rotation
 
 CELL_M = 0.25
@@ -85,7 +88,7 @@ def standing_pose(
     position = np.array([*place, floor_z + rng.uniform(*CAMERA_HEIGHT_M)])
     target = centre + rng.uniform(-AIM_SPREAD, AIM_SPREAD, 3) * radius_m
     roll = rng.uniform(-ROLL_SPREAD, ROLL_SPREAD)
-    return axis_rotation("z", roll) @ look_at(position, target), position
+    return portable.product(axis_rotation("z", roll), look_at(position, target)), position
 
 
 def look_at(position: NDArray, target: NDArray) -> NDArray[np.float64]:
@@ -94,8 +97,9 @@ def look_at(position: NDArray, target: NDArray) -> NDArray[np.float64]:
     World z is up; looking straight up or down, the image's top is towards world +y or −y.
     """
     forward = np.asarray(target, np.float64) - position
-    forward = forward / np.linalg.norm(forward)
+    # ``hypot`` and not ``norm``, whose dot product follows the processor (``geometry.portable``).
+    forward = forward / math.hypot(*forward)
     right = np.cross(forward, (0.0, 0.0, 1.0))
-    length = np.linalg.norm(right)
+    length = math.hypot(*right)
     right = right / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
     return np.stack([right, np.cross(forward, right), forward])

@@ -67,8 +67,8 @@ def run_eval(
         test_data: another such folder; each seed is tested on its test split as well.
         checkpoint_file: test these weights instead of training; ``seeds``, ``preset`` and recipe
             do not apply then.
-        preset: "smoke", "mini" or "paper"; ``protocol`` and ``protocol_overrides`` change its
-            fields (``epochs=2``), which makes it another protocol.
+        preset: "smoke", "small", "mini" or "paper"; ``protocol`` and ``protocol_overrides`` change
+            its fields (``epochs=2``), which makes it another protocol.
         seeds: how many, counted from ``first_seed``.
         device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
         resume: continue interrupted seeds; a finished training is not repeated.

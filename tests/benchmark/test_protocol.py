@@ -217,6 +217,9 @@ def test_a_short_protocol_gives_every_model_the_short_recipe():
     # The budget caps the epochs, and so does the recipe.
     assert protocol("mini").num_epochs(short, 30_000) == 2
     assert protocol("mini").num_epochs(short, 240_000) == 1
+    # "small" knows no share: every model sees its clouds as often.
+    small = protocol("small")
+    assert small.num_epochs(recipes.of_protocol(card, small), 2_160) == 8
 
 
 def test_deviations_are_told_in_words():

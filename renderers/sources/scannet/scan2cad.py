@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from partialbench.errors import InputError
+from partialbench.geometry import portable
 
 SYMMETRIES = {
     "__SYM_NONE": "none",
@@ -105,7 +106,7 @@ class BoxPose:
 
     def to_object(self, points: NDArray) -> NDArray[np.float64]:
         """(n,3) scan-frame points → canonical frame, metres, box centre at the origin."""
-        return (points - self.centre) @ self.R_scan_object
+        return portable.product(points - self.centre, self.R_scan_object)
 
 
 def R_canonical_cad(class_name: str) -> NDArray[np.float64]:
@@ -145,16 +146,16 @@ def box_pose(model: AlignedModel, class_name: str) -> BoxPose:
         InputError: A is mirrored, singular or sheared.
     """
     linear = model.M_scan_cad[:3, :3]
-    u, singular, vt = np.linalg.svd(linear)
-    if np.linalg.det(linear) <= 0 or singular[-1] < 1e-6:
+    if np.linalg.det(linear) <= 0 or np.linalg.svd(linear, compute_uv=False)[-1] < 1e-6:
         raise InputError("the CAD is mirrored or flat in the scan: its pose is no rotation")
-    rotation, stretch = u @ vt, vt.T * singular @ vt
+    rotation = portable.polar_rotation(linear)
+    stretch = portable.product(rotation.T, linear)
     diagonal = np.diag(stretch)
     shear = np.abs(stretch - np.diag(diagonal)).max() / diagonal.min()
     if shear > MAX_SHEAR:
         raise InputError(f"the CAD is sheared in the scan by {shear:.2g} (allowed: {MAX_SHEAR:g})")
     turn = R_canonical_cad(class_name)
-    centre = linear @ model.centre + model.M_scan_cad[:3, 3]
+    centre = portable.apply(linear, model.centre) + model.M_scan_cad[:3, 3]
     axes = np.abs(turn)
     return BoxPose(
         rotation @ turn.T, centre, axes @ (diagonal * model.half_extent), axes @ diagonal
@@ -192,15 +193,19 @@ def _scene(entry: dict[str, Any]) -> SceneAnnotation:
             raise InputError("aligned_models is no list")
     except (InputError, KeyError) as error:
         return SceneAnnotation(scene_id, (), f"damaged annotation of the scene: {error}")
-    inverse = np.linalg.inv(M_scan)
-    return SceneAnnotation(scene_id, tuple(_model(i, m, inverse) for i, m in enumerate(models)))
+    M_scan_world = np.eye(4)
+    M_scan_world[:3, :3] = portable.inverse(M_scan[:3, :3])
+    M_scan_world[:3, 3] = -portable.apply(M_scan_world[:3, :3], M_scan[:3, 3])
+    return SceneAnnotation(
+        scene_id, tuple(_model(i, m, M_scan_world) for i, m in enumerate(models))
+    )
 
 
 def _model(index: int, entry: dict[str, Any], M_scan_world: NDArray) -> AlignedModel:
     catid, cad_id = str(entry.get("catid_cad", "")), str(entry.get("id_cad", ""))
     nothing = np.full(3, np.nan)
     try:
-        matrix = M_scan_world @ trs_matrix(entry.get("trs", {}))
+        matrix = portable.product(M_scan_world, trs_matrix(entry.get("trs", {})))
         centre = np.asarray(entry["center"], np.float64)
         half_extent = np.asarray(entry["bbox"], np.float64)
         if centre.shape != (3,) or half_extent.shape != (3,):

@@ -18,6 +18,7 @@ from partialbench.dataset.categories import PS15
 from partialbench.dataset.shards import file_sha256
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError
+from partialbench.geometry import portable
 from partialbench.geometry.camera import sample_pose
 from renderers.sources.scannet.filters import Rules
 from renderers.sources.scannet.frames import (
@@ -218,8 +219,8 @@ class ScanNetInstances:
             R_camera_scan, position = standing_pose(
                 rng, shape.places, shape.floor_z, shape.origin, shape.scale_m
             )
-            t = R_camera_scan @ (shape.origin - position) / shape.scale_m
-            poses.append((R_camera_scan @ shape.R_scan_object, t))
+            t = portable.apply(R_camera_scan, shape.origin - position) / shape.scale_m
+            poses.append((portable.product(R_camera_scan, shape.R_scan_object), t))
         return poses
 
     def describe(self) -> dict[str, Any]:
@@ -334,7 +335,7 @@ def _normalised(
     metric = pose.to_object(vertices[instance.vertices])
     middle = (metric.min(axis=0) + metric.max(axis=0)) / 2
     scale_m = float(np.linalg.norm(metric - middle, axis=1).max())
-    origin = pose.centre + pose.R_scan_object @ middle
+    origin = pose.centre + portable.apply(pose.R_scan_object, middle)
     return ScanInstance(
         points=((metric - middle) / scale_m).astype(np.float32),
         normals=(normals[instance.vertices] @ pose.R_scan_object).astype(np.float32),

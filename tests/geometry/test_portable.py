@@ -1,0 +1,57 @@
+"""The algebra whose last bit no processor decides."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from partialbench.geometry import portable
+from partialbench.geometry.rotations import haar_rotations
+
+RNG = np.random.default_rng(0)
+
+
+def test_products_and_inverse_are_numpys() -> None:
+    a, b, v = RNG.normal(size=(7, 3)), RNG.normal(size=(3, 3)), RNG.normal(size=3)
+    np.testing.assert_allclose(portable.product(a, b), a @ b, atol=1e-14)
+    np.testing.assert_allclose(portable.product(np.eye(4) * 2, np.ones((4, 4))), np.full((4, 4), 2))
+    np.testing.assert_allclose(portable.apply(b, v), b @ v, atol=1e-14)
+    np.testing.assert_allclose(portable.inverse(b), np.linalg.inv(b), rtol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (0.01, 0.02, 0.015), (300, 2, 40)])
+def test_polar_rotation_takes_the_stretch_off(scale: tuple[float, ...]) -> None:
+    for R in haar_rotations(RNG, 20):
+        found = portable.polar_rotation(R * np.array(scale, float))
+        np.testing.assert_allclose(found, R, atol=1e-13)
+
+
+_POSES = """
+import numpy as np
+from partialbench.geometry import portable
+from renderers.viewpoints import standing_pose
+rng = np.random.default_rng(1)
+for _ in range(200):
+    R, position = standing_pose(rng, rng.normal(size=(9, 2)), 0.0, rng.normal(size=3), 1.0)
+    print(R.tobytes().hex(), position.tobytes().hex())
+for A in rng.normal(size=(200, 3, 3)):
+    A *= np.sign(np.linalg.det(A))
+    Q = portable.polar_rotation(A)
+    print(portable.product(Q, A).tobytes().hex(), portable.apply(Q, A[0]).tobytes().hex())
+"""
+
+
+def test_every_blas_kernel_gives_the_same_bits() -> None:
+    outputs = [
+        subprocess.run(
+            [sys.executable, "-c", _POSES], capture_output=True, check=True,
+            env={**os.environ, "OPENBLAS_CORETYPE": kernel},
+        ).stdout
+        for kernel in ("Prescott", "Haswell")
+    ]  # fmt: skip
+    assert len(outputs[0]) > 10_000
+    assert outputs[0] == outputs[1]
