@@ -84,7 +84,7 @@ class PAPNet(nn.Module):
         delta_deg: half width of the noise on each Euler angle of the pose given in training.
         snap: use the bin nearest to the noisy pose, as released, rather than the pose itself.
         pose_weight: λ of the paper's total loss.
-        grid: edge of the occupancy volume, a multiple of 8; the published 64.
+        grid: edge of the occupancy volume, a multiple of 8 from 16 on; the published 64.
     """
 
     def __init__(
@@ -109,8 +109,8 @@ class PAPNet(nn.Module):
             raise InputError(f"k must be between 1 and {NUM_BINS}, got {k}")
         if not 0 <= delta_deg <= 180:
             raise InputError(f"delta_deg must be between 0 and 180 degrees, got {delta_deg}")
-        if grid < 8 or grid % 8:
-            raise InputError(f"grid must be a positive multiple of 8, got {grid}")
+        if grid < 16 or grid % 8:
+            raise InputError(f"grid must be a multiple of 8, at least 16, got {grid}")
         self.variant, self.symmetry, self.k = VARIANTS[variant], symmetry, k
         self.delta_deg, self.snap, self.pose_weight, self.grid = delta_deg, snap, pose_weight, grid
         self.backbone = Backbone()

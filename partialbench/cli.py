@@ -112,7 +112,10 @@ def evaluate(
         list[int] | None, typer.Option(help="test on clouds of so many points too (repeatable)")
     ] = None,
     recipe: Annotated[list[str] | None, typer.Option(help="change the recipe: lr=0.01")] = None,
-    option: Annotated[list[str] | None, typer.Option(help="for the model: k=5")] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(help="for the model: k=5; with --checkpoint too, if its weights fit"),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Train a model under the protocol and test it; one record per seed and test set."""

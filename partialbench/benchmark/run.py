@@ -76,7 +76,8 @@ def run_eval(
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
         test_points: test on clouds of so many points too, beside the number trained on.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
-        options: for the model's factory; makes another row.
+        options: for the model's factory; makes another row. With a checkpoint, those that its
+            weights do not depend on, such as PAPNet's ``k``.
         protocol: fields of the protocol by name, for one that is an argument here too (``recipe``).
 
     Raises:
@@ -87,8 +88,9 @@ def run_eval(
     if checkpoint_file is not None:
         folders = [folder for folder in (data, test_data) if folder is not None]
         return _test_checkpoint(
-            model, Path(checkpoint_file), folders, test_points, fabric, results_folder
-        )
+            model, Path(checkpoint_file), folders, test_points, options or {}, fabric,
+            results_folder,
+        )  # fmt: skip
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
     if seeds < 1:
@@ -229,6 +231,7 @@ def _test_checkpoint(
     path: Path,
     folders: Sequence[Path | str],
     test_points: Sequence[int],
+    options: Mapping[str, Any],
     fabric: Fabric,
     results_folder: Path,
 ) -> list[Result]:
@@ -242,11 +245,22 @@ def _test_checkpoint(
             f"{path} is of an unfinished training (epoch {content['epoch']}); finish it with "
             f"--resume, the protocol reports the last epoch only"
         )
+    if options:
+        content = _with_options(content, options)
     model = checkpoint.build_model(content)
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
     return _test_all(content, model, test_sets, fabric, results_folder)
+
+
+def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """A checkpoint's content with options of the model changed, as a row of its own."""
+    card, followed = models.card_of(content["model"]), protocols.from_dict(content["protocol"])
+    own = recipes.as_dict(recipes.of_protocol(card, followed))
+    recipe = {name: value for name, value in content["recipe"].items() if value != own[name]}
+    merged = {**content["options"], **options}
+    return {**content, "options": merged, "variant": describe_changes(recipe, merged)}
 
 
 def _open_test_sets(

@@ -155,6 +155,39 @@ def test_a_checkpoint_tested_alone_gives_the_same_record(done, data, tmp_path):
         run_eval("pointnet", data, checkpoint_file=weights, device="cpu", results_folder=tmp_path)
 
 
+def test_options_that_weights_do_not_depend_on_can_be_changed_for_a_test(data, tmp_path):
+    """A row of its own, and the one that training under those options would have made."""
+    trained = {
+        "data": data,
+        "recipe": {"lr": 0.01},
+        **SMALL,
+        "max_train_clouds": 32,
+        "max_test_clouds": 12,
+    }
+    alike, other = (
+        run_eval(
+            "papnet", options={"grid": 16, "variant": variant}, results_folder=tmp_path / variant,
+            **trained,
+        )[0]
+        for variant in ("predicted", "predicted-ensemble")
+    )  # fmt: skip
+    (weights,) = (tmp_path / "predicted" / "runs").glob("*/checkpoint.pt")
+
+    def with_options(**options):
+        return run_eval(
+            "papnet", data, checkpoint_file=weights, device="cpu", options=options,
+            results_folder=tmp_path / "changed",
+        )[0]  # fmt: skip
+
+    changed = with_options(variant="predicted-ensemble")
+    assert changed.row == other.row != alike.row
+    assert changed.options == other.options
+    assert changed.identity == other.identity
+    assert changed.predictions_sha256 == other.predictions_sha256 != alike.predictions_sha256
+    with pytest.raises(InputError, match="weights do not fit"):
+        with_options(variant="cascaded")
+
+
 def test_resuming_a_finished_evaluation_changes_no_prediction(done, data, other):
     written, folder = done
     weights = sorted((folder / "runs").glob("*/checkpoint.pt"))

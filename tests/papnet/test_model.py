@@ -142,7 +142,8 @@ def test_input_transformation_turns_the_cloud() -> None:
         ({"variant": "multitask"}, "did you mean multi-task"),
         ({"k": 61}, "between 1 and 60, got 61"),
         ({"delta_deg": -1.0}, "got -1.0"),
-        ({"grid": 20}, "multiple of 8, got 20"),
+        ({"grid": 20}, "multiple of 8, at least 16, got 20"),
+        ({"grid": 8}, "at least 16, got 8"),
     ],
 )
 def test_wrong_options_are_refused(options: dict, message: str) -> None:
