@@ -203,16 +203,19 @@ def predict(
     ] = None,
     depth_scale: Annotated[float, typer.Option(help="units of a depth value")] = 1.0,
     device: Annotated[str, typer.Option(help="cpu, cuda")] = "cpu",
+    votes: Annotated[
+        int, typer.Option(help="a dense capture is cut into up to so many clouds that vote")
+    ] = 8,
     as_json: Json = False,
 ) -> None:
     """Classify a capture of your own: class, confidence, and pose where the model has one."""
     from partialbench.benchmark.predict import predict as classify
 
     K = None if intrinsics is None else arguments.numbers(intrinsics, 4, "--intrinsics")
-    answer = classify(checkpoint, file, K, depth_scale, device)
+    answer = classify(checkpoint, file, K, depth_scale, device, votes)
     data = {
         "file": str(file), "class": answer.top[0][0], "confidence": answer.top[0][1],
-        "top": answer.top, "points_given": answer.points_given,
+        "top": answer.top, "points_given": answer.points_given, "points_used": answer.points_used,
         "poses": [{"R_camera_object": R.tolist(), "probability": p} for R, p in answer.poses],
     }  # fmt: skip
     lines = [f"{name:14} {share:6.1%}" for name, share in answer.top]

@@ -17,6 +17,7 @@ from partialbench.geometry.bins import rotation_bins
 from partialbench.geometry.camera import Camera
 
 MIN_POINTS = 16
+VOTES = 8
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Answer:
 
     Attributes:
         top: up to five (class name, probability), best first.
-        points_given, points_used: in the file, and seen by the model.
+        points_given, points_used: in the file, and seen by the model over all votes.
         poses: up to five (R_camera_object (3,3), probability) over the 60 bins, best first; empty
             for a model without pose. A bin is within 44.5° of every rotation it stands for.
     """
@@ -50,8 +51,12 @@ def predict(
     K: ArrayLike | None = None,
     depth_scale: float = 1.0,
     device: str = "cpu",
+    votes: int = VOTES,
 ) -> Answer:
     """Classifies one segmented object.
+
+    A model is best on clouds of as many points as it was trained on. A denser capture is cut at
+    random into clouds of that many, and their probabilities are averaged.
 
     Args:
         checkpoint_file: written by ``partialbench eval``; nothing else is needed.
@@ -59,37 +64,42 @@ def predict(
             .tif, .npy (H,W)), of the object alone, camera frame x right, y down, z forward.
         K: (3,3) intrinsics in pixels, or (fx, fy, cx, cy); needed for a depth image.
         depth_scale: units of the file's depth values: 0.001 for millimetres.
+        votes: at most so many clouds, without a point in common.
 
     Raises:
-        InputError: a file that cannot be read or has too few points, or a depth image without K.
+        InputError: a file that cannot be read or has too few points, a depth image without K, no
+            votes.
     """
+    if votes < 1:
+        raise InputError(f"votes must be at least 1, got {votes}")
     content = checkpoint.load(checkpoint_file)
     model = checkpoint.build_model(content).to(device)
     given = read_points(Path(file), K, depth_scale)
-    cloud = draw(given, content["num_points"])
+    count = content["num_points"]
+    clouds = draw(given, count, min(votes, max(1, len(given) // count)))
     names = content["class_names"]
     with torch.inference_mode():
-        output = model(torch.from_numpy(cloud)[None].to(device))
-    prediction = as_prediction(output, 1, len(names))
-    values, order = prediction.class_logits[0].softmax(0).topk(min(5, len(names)))
+        output = model(torch.from_numpy(clouds).to(device))
+    prediction = as_prediction(output, len(clouds), len(names))
+    values, order = prediction.class_logits.softmax(1).mean(0).topk(min(5, len(names)))
     top = [(names[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
     poses = []
     if prediction.pose_logits is not None:
-        values, order = prediction.pose_logits[0].softmax(0).topk(5)
+        values, order = prediction.pose_logits.softmax(1).mean(0).topk(5)
         poses = [(rotation_bins()[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
-    return Answer(top, len(given), len(cloud), poses)
+    return Answer(top, len(given), clouds.shape[0] * clouds.shape[1], poses)
 
 
-def draw(points: NDArray, count: int) -> NDArray[np.float32]:
-    """``count`` of the points, drawn without replacement by a fixed seed, in random order.
+def draw(points: NDArray, count: int, clouds: int = 1) -> NDArray[np.float32]:
+    """(clouds,count,3) of the points, drawn without replacement by a fixed seed, in random order.
 
     Where there are fewer, all of them, and repeats after: as the shards are made.
     """
     rng = generator(0, "predict", len(points))
-    order = rng.permutation(len(points))
-    if len(points) < count:
-        order = np.concatenate([order, rng.integers(0, len(points), count - len(points))])
-    return np.ascontiguousarray(points[order[:count]], np.float32)
+    order, wanted = rng.permutation(len(points)), clouds * count
+    if len(points) < wanted:
+        order = np.concatenate([order, rng.integers(0, len(points), wanted - len(points))])
+    return np.ascontiguousarray(points[order[:wanted]], np.float32).reshape(clouds, count, 3)
 
 
 def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0) -> NDArray:

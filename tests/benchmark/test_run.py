@@ -18,7 +18,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from partialbench import registry
-from partialbench.benchmark import audit, evaluate, metrics, results
+from partialbench.benchmark import audit, checkpoint, evaluate, metrics, results
 from partialbench.benchmark.predict import draw, predict, read_points
 from partialbench.benchmark.run import run_eval
 from partialbench.cli import app
@@ -430,7 +430,8 @@ def test_a_depth_image_is_the_cloud_it_was_made_from(weights, tmp_path):
     from_png = read_points(tmp_path / "d.png", camera.K, 0.001)
     assert np.allclose(from_png, expected)
     assert np.allclose(read_points(tmp_path / "d.npy", (60, 60, 20.5, 16.0)), expected)
-    assert predict(weights, tmp_path / "d.png", camera.K, 0.001).points_used == 64
+    found = predict(weights, tmp_path / "d.png", camera.K, 0.001)
+    assert found.points_used == len(expected) // 64 * 64 > 64
 
 
 @pytest.mark.parametrize(
@@ -461,10 +462,28 @@ def test_a_depth_image_needs_intrinsics_that_make_sense(weights, tmp_path):
 
 def test_few_points_are_all_used_before_any_is_repeated(rng):
     points = rng.standard_normal((20, 3)).astype(np.float32)
-    drawn = draw(points, 50)
+    (drawn,) = draw(points, 50)
     assert drawn.shape == (50, 3)
     assert {tuple(p) for p in drawn} == {tuple(p) for p in points}
-    assert len({tuple(p) for p in draw(rng.standard_normal((100, 3)), 50)}) == 50
+    apart = draw(rng.standard_normal((110, 3)), 50, 2)
+    assert len({tuple(p) for p in apart.reshape(-1, 3)}) == 100
+
+
+def test_a_dense_capture_is_cut_into_clouds_that_vote(weights, tmp_path, rng):
+    points = rng.standard_normal((64 * 3 + 10, 3))
+    np.save(tmp_path / "dense.npy", points)
+    model = checkpoint.build_model(checkpoint.load(weights))
+    with torch.inference_mode():
+        each = model(torch.from_numpy(draw(points, 64, 3)))
+    for votes, used in ((8, 3), (2, 2), (1, 1)):
+        found = predict(weights, tmp_path / "dense.npy", votes=votes)
+        assert found.points_used == used * 64
+        expected = each.class_logits[:used].softmax(1).mean(0)
+        assert found.confidence == pytest.approx(float(expected.max()), abs=1e-6)
+        pose = each.pose_logits[:used].softmax(1).mean(0)
+        assert found.poses[0][1] == pytest.approx(float(pose.max()), abs=1e-6)
+    with pytest.raises(InputError, match="votes must be at least 1, got 0"):
+        predict(weights, tmp_path / "dense.npy", votes=0)
 
 
 def test_the_example_of_a_users_own_model_runs_from_its_folder(data, tmp_path):
