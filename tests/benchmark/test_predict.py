@@ -1,0 +1,107 @@
+"""A user's own capture: every format, dense and sparse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from partialbench.benchmark import checkpoint
+from partialbench.benchmark.predict import draw, predict, read_points
+from partialbench.errors import InputError
+from partialbench.geometry.camera import Camera
+from tests.benchmark.memory_clouds import MemoryClouds
+
+
+@pytest.fixture(scope="module")
+def weights(done) -> Path:
+    return next((done[1] / "runs").glob("*seed0")) / "checkpoint.pt"
+
+
+def test_every_cloud_format_gives_the_same_answer(weights, tmp_path):
+    cloud = MemoryClouds().points([3])[0]
+    trimesh.PointCloud(cloud).export(tmp_path / "a.ply")
+    np.save(tmp_path / "a.npy", cloud)
+    np.savetxt(tmp_path / "a.xyz", cloud, fmt="%.9g")
+    np.savetxt(tmp_path / "a.csv", cloud, fmt="%.9g", delimiter=",")
+    answers = [predict(weights, tmp_path / f"a.{kind}") for kind in ("ply", "npy", "xyz", "csv")]
+    first = answers[0]
+    assert first.points_given == first.points_used == 64
+    assert [name for name, _ in first.top] == [name for name, _ in answers[1].top]
+    assert sum(p for _, p in first.top) == pytest.approx(1, abs=1e-5)  # three classes, top 3
+    assert first.class_name == first.top[0][0]
+    assert first.confidence == max(p for _, p in first.top)
+    assert len(first.poses) == 5
+    assert np.allclose(first.poses[0][0] @ first.poses[0][0].T, np.eye(3))
+    for answer in answers[1:]:
+        assert [p for _, p in answer.top] == pytest.approx([p for _, p in first.top], abs=1e-6)
+
+
+def test_a_depth_image_is_the_cloud_it_was_made_from(weights, tmp_path):
+    camera = Camera(np.array([[60, 0, 20.5], [0, 60, 16.0], [0, 0, 1.0]]), 40, 32)
+    rng = np.random.default_rng(0)
+    depth = np.where(rng.random((32, 40)) < 0.3, rng.integers(1500, 2500, (32, 40)), 0)
+    Image.fromarray(depth.astype(np.uint16)).save(tmp_path / "d.png")
+    np.save(tmp_path / "d.npy", np.where(depth > 0, depth / 1000, np.nan))
+    expected = camera.unproject_depth(depth / 1000)
+    from_png = read_points(tmp_path / "d.png", camera.K, 0.001)
+    assert np.allclose(from_png, expected)
+    assert np.allclose(read_points(tmp_path / "d.npy", (60, 60, 20.5, 16.0)), expected)
+    found = predict(weights, tmp_path / "d.png", camera.K, 0.001)
+    assert found.points_used == len(expected) // 64 * 64 > 64
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.xyz", "1 2 3\n4 x 6\n", "cannot be read"),
+        ("a.xyz", "1 2 3\n4 5 6\n", "2 finite points, at least 16"),
+        ("a.xyz", "nan nan nan\n" * 20, "0 finite points"),
+        ("a.obj", "v 0 0 0", ".obj is not read"),
+        ("a.ply", "ply", "cannot be read|holds no points"),
+    ],
+)
+def test_a_file_that_is_no_cloud_says_so(weights, tmp_path, name, content, message):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError, match=message):
+        predict(weights, tmp_path / name)
+
+
+def test_a_depth_image_needs_intrinsics_that_make_sense(weights, tmp_path):
+    np.save(tmp_path / "d.npy", np.ones((20, 30)))
+    with pytest.raises(InputError, match="30×20 pixels: its intrinsics are needed"):
+        predict(weights, tmp_path / "d.npy")
+    with pytest.raises(InputError, match="focal lengths must be positive"):
+        predict(weights, tmp_path / "d.npy", (-1, 1, 0, 0))
+    with pytest.raises(InputError, match="no file at"):
+        predict(weights, tmp_path / "absent.ply")
+
+
+def test_few_points_are_all_used_before_any_is_repeated(rng):
+    points = rng.standard_normal((20, 3)).astype(np.float32)
+    (drawn,) = draw(points, 50)
+    assert drawn.shape == (50, 3)
+    assert {tuple(p) for p in drawn} == {tuple(p) for p in points}
+    apart = draw(rng.standard_normal((110, 3)), 50, 2)
+    assert len({tuple(p) for p in apart.reshape(-1, 3)}) == 100
+
+
+def test_a_dense_capture_is_cut_into_clouds_that_vote(weights, tmp_path, rng):
+    points = rng.standard_normal((64 * 3 + 10, 3))
+    np.save(tmp_path / "dense.npy", points)
+    model = checkpoint.build_model(checkpoint.load(weights))
+    with torch.inference_mode():
+        each = model(torch.from_numpy(draw(points, 64, 3)))
+    for votes, used in ((8, 3), (2, 2), (1, 1)):
+        found = predict(weights, tmp_path / "dense.npy", votes=votes)
+        assert found.points_used == used * 64
+        expected = each.class_logits[:used].softmax(1).mean(0)
+        assert found.confidence == pytest.approx(float(expected.max()), abs=1e-6)
+        pose = each.pose_logits[:used].softmax(1).mean(0)
+        assert found.poses[0][1] == pytest.approx(float(pose.max()), abs=1e-6)
+    with pytest.raises(InputError, match="votes must be at least 1, got 0"):
+        predict(weights, tmp_path / "dense.npy", votes=0)

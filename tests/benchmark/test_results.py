@@ -1,0 +1,64 @@
+"""Records that cannot be trusted are refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from partialbench.benchmark import results
+from partialbench.errors import InputError
+
+
+def copy_of(done, tmp_path) -> Path:
+    shutil.copytree(done[1], tmp_path / "copy", ignore=shutil.ignore_patterns("runs"))
+    return tmp_path / "copy"
+
+
+def test_a_record_edited_by_hand_is_refused(done, tmp_path):
+    folder = copy_of(done, tmp_path)
+    path = sorted(folder.glob("*.json"))[0]
+    record = json.loads(path.read_text())
+    record["scores"]["accuracy"] = 0.99
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError, match="was changed after it was written"):
+        results.read(path)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda p: p.write_text("{"), "not a readable JSON"),
+        (lambda p: p.write_text("[]"), "not a result record"),
+        (lambda p: p.write_text('{"format": "partialbench-result", "format_version": 9}'),
+         "format 9, this version reads 2"),
+        (lambda p: p.write_text('{"format": "partialbench-result", "format_version": 2}'),
+         "missing fields .'card'"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_no_record_says_so(done, tmp_path, damage, message):
+    path = sorted(copy_of(done, tmp_path).glob("*.json"))[0]
+    damage(path)
+    with pytest.raises(InputError, match=message):
+        results.read(path)
+
+
+def test_predictions_must_be_there_and_be_the_records_own(done, tmp_path):
+    folder = copy_of(done, tmp_path)
+    a, b = results.read_folder(folder)[:2]
+    shutil.copy(folder / b.predictions_file, folder / a.predictions_file)
+    with pytest.raises(InputError, match="is not the file its record was written with"):
+        results.read_predictions(folder, a)
+    (folder / a.predictions_file).unlink()
+    with pytest.raises(InputError, match="is missing"):
+        results.read_predictions(folder, a)
+
+
+def test_two_records_of_one_run_are_refused(done, tmp_path):
+    folder = copy_of(done, tmp_path)
+    path = sorted(folder.glob("*.json"))[0]
+    shutil.copy(path, folder / f"again-{path.name}")
+    with pytest.raises(InputError, match="record the same run"):
+        results.read_folder(folder)
