@@ -1,0 +1,18 @@
+"""Clouds to compute with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from baselines import points
+
+
+@pytest.fixture
+def clouds(rng: np.random.Generator) -> Tensor:
+    """(3,200,3) in the unit ball, with repeated points as clouds of few pixels have."""
+    cloud = rng.normal(size=(3, 200, 3)) * (0.5, 0.3, 0.2)
+    cloud[:, 150:] = cloud[:, :50]
+    return points.normalise(torch.from_numpy(cloud).float())

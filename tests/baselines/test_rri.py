@@ -1,0 +1,113 @@
+"""Rotation-invariant features against their formulas, written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from baselines import points, rri
+from partialbench.geometry.rotations import haar_rotations
+
+
+@pytest.fixture(autouse=True)
+def seed() -> None:
+    torch.manual_seed(0)
+
+
+def pairwise_rri(cloud: np.ndarray, k: int) -> list[np.ndarray]:
+    """ClusterNet's formulas as written, neighbour by neighbour, each point's rows sorted."""
+    features = []
+    for i, p in enumerate(cloud):
+        near = np.argsort(np.linalg.norm(cloud - p, axis=1))
+        q = cloud[near[near != i][:k]]
+        p_hat = p / np.linalg.norm(p)
+        q_hat = q / np.linalg.norm(q, axis=1, keepdims=True)
+        t = q_hat - (q_hat @ p_hat)[:, None] * p_hat
+        t /= np.linalg.norm(t, axis=1, keepdims=True)
+        rows = []
+        for a in range(k):
+            psi = [
+                np.arctan2(np.cross(t[a], t[b]) @ p_hat, t[a] @ t[b]) % (2 * np.pi)
+                for b in range(k)
+                if b != a
+            ]
+            theta = np.arccos(q_hat[a] @ p_hat)
+            rows.append([np.linalg.norm(p), np.linalg.norm(q[a]), theta, min(psi)])
+        features.append(np.array(sorted(rows, key=lambda row: row[1])))
+    return features
+
+
+class TestRRI:
+    def test_equals_the_pairwise_formula(self, rng: np.random.Generator) -> None:
+        """As defined wherever no follower is within the ramp, and never below it elsewhere."""
+        cloud = rng.normal(size=(80, 3)) * 0.5
+        cloud -= cloud.mean(axis=0)
+        got = rri.rri(torch.from_numpy(cloud[None]).float(), k=6)[0].numpy()
+        plain = 0
+        for mine, expected in zip(got, pairwise_rri(cloud, 6), strict=True):
+            if expected[0, 0] < rri.FADE:
+                continue
+            mine = mine[np.argsort(mine[:, 1])]
+            np.testing.assert_allclose(mine[:, :3], expected[:, :3], atol=1e-5)
+            as_defined = expected[:, 3] >= rri.RAMP
+            across = np.sin(expected[:, 2]) * expected[:, 1]
+            if across.min() < rri.FADE:
+                continue
+            plain += as_defined.sum()
+            phi = np.minimum(expected[:, 3], rri.LARGEST)
+            np.testing.assert_allclose(mine[as_defined, 3], phi[as_defined], atol=1e-4)
+            assert (mine[~as_defined, 3] >= phi[~as_defined]).all()
+        assert plain > 100
+
+    @pytest.mark.parametrize("turn", np.linspace(-0.2, 0.2, 9))
+    def test_is_continuous_where_directions_pass_each_other(self, turn: float) -> None:
+        """Neighbours at 0, turn and 2 rad about p: a change of 1e-6 never makes a jump."""
+
+        def phi(angle: float) -> Tensor:
+            angles = torch.tensor([0.0, angle, 2.0])
+            q = torch.stack([0.3 * angles.cos(), 0.3 * angles.sin(), torch.ones(3)], dim=-1)
+            cloud = torch.cat([torch.tensor([[0.0, 0, 1]]), q, torch.tensor([[0.0, 0, -4]])])
+            return rri.rri(cloud[None], k=3)[0, 0, :, 3].sort().values
+
+        steepest = rri.LARGEST / rri.RAMP
+        assert (phi(turn + 1e-6) - phi(turn - 1e-6)).abs().max() < 3e-6 * steepest
+
+    def test_tells_mirror_images_apart(self, rng: np.random.Generator) -> None:
+        cloud = torch.from_numpy(rng.normal(size=(1, 60, 3))).float()
+        cloud = points.normalise(cloud)
+        mirrored = rri.rri(cloud * torch.tensor([-1.0, 1, 1]))
+        difference = rri.rri(cloud).sort(dim=2).values - mirrored.sort(dim=2).values
+        assert difference[..., :3].abs().max() < 1e-5
+        assert difference[..., 3].abs().max() > 0.1
+
+    def test_degenerate_neighbourhoods_stay_finite_and_invariant(
+        self, rng: np.random.Generator
+    ) -> None:
+        """A point at the centroid, repeated points, a straight line, a symmetric grid."""
+        line = np.linspace(-1, 1, 41)[:, None] * [0.3, 0.5, 0.8]
+        grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 4)] * 3), axis=-1).reshape(-1, 3)
+        repeated = np.repeat(rng.normal(size=(10, 3)), 6, axis=0)
+        for shape in (line, grid, repeated):
+            cloud = points.normalise(torch.from_numpy(shape)[None].float())
+            R = torch.from_numpy(haar_rotations(rng, 5)).float()
+            features = rri.rri(cloud.expand(5, -1, -1) @ R.mT, k=5)
+            assert features.isfinite().all()
+            assert (features[..., 3] <= rri.LARGEST).all()
+        centred = points.normalise(torch.from_numpy(line)[None].float())
+        middle = rri.rri(centred, k=4)[0, 20]
+        assert middle[:, 0].max() < 1e-6
+        assert not middle[:, 2:].any()
+        along = rri.rri(centred, k=4)[0, 40]
+        torch.testing.assert_close(along[:, 2:], torch.zeros(4, 2), atol=1e-4, rtol=0)
+
+    def test_near_equal_directions_count_as_one(self) -> None:
+        """Two neighbours 1e-6 apart in direction both see the gap to the third, in any order."""
+        for nudge in (1e-6, -1e-6):
+            angles = torch.tensor([0.0, nudge, 1.0])
+            q = torch.stack([0.3 * angles.cos(), 0.3 * angles.sin(), torch.ones(3)], dim=-1)
+            cloud = torch.cat([torch.tensor([[0.0, 0, 1]]), q, torch.tensor([[0.0, 0, -4]])])
+            phi = rri.rri(cloud[None], k=3)[0, 0, :, 3].sort().values
+            expected = torch.tensor([1.0, 1.0, rri.LARGEST])
+            torch.testing.assert_close(phi, expected, atol=1e-4, rtol=0)

@@ -1,0 +1,152 @@
+"""Shared layers against the layers they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from baselines import edges, points, shared_mlp
+from baselines.balls import without_padding
+from baselines.dgcnn import SLOPE, EdgeConv
+from baselines.pointnet2 import GroupLinear
+from baselines.shared_mlp import NormLinear, SharedMLP
+
+
+@pytest.fixture(autouse=True)
+def seed() -> None:
+    torch.manual_seed(0)
+
+
+def plain(layer: shared_mlp.Normed) -> tuple[nn.Linear, nn.BatchNorm1d]:
+    """torch's own two layers with the same parameters, some scales negative."""
+    with torch.no_grad():
+        layer.norm.weight.uniform_(-1.5, 1.5)
+        layer.norm.bias.uniform_(-1, 1)
+    linear = nn.Linear(layer.linear.in_features, layer.linear.out_features)
+    linear.bias = None if layer.linear.bias is None else linear.bias
+    norm = nn.BatchNorm1d(layer.norm.num_features)
+    linear.load_state_dict(layer.linear.state_dict())
+    norm.load_state_dict(layer.norm.state_dict())
+    return linear, norm
+
+
+def normed(linear: nn.Linear, norm: nn.BatchNorm1d, x: Tensor) -> Tensor:
+    y = linear(x)
+    return norm(y.flatten(0, -2)).view_as(y)
+
+
+def assert_same(
+    ours: shared_mlp.Normed,
+    theirs: tuple[nn.Linear, nn.BatchNorm1d],
+    outputs: tuple[Tensor, Tensor],
+    inputs: tuple[Tensor, ...],
+) -> None:
+    """Values, gradients of inputs and parameters, and running statistics agree."""
+    weights = torch.randn(outputs[0].shape, generator=torch.Generator().manual_seed(3))
+    torch.testing.assert_close(outputs[0], outputs[1], atol=2e-5, rtol=1e-5)
+    linear, norm = theirs
+    pairs = [(ours.linear.weight, linear.weight), (ours.norm.weight, norm.weight)]
+    pairs += [(ours.norm.bias, norm.bias), *((x, x) for x in inputs)]
+    mine = torch.autograd.grad((outputs[0] * weights).sum(), [a for a, _ in pairs])
+    yours = torch.autograd.grad((outputs[1] * weights).sum(), [b for _, b in pairs])
+    for a, b in zip(mine, yours, strict=True):
+        torch.testing.assert_close(a, b, atol=2e-5 * float(b.abs().max()), rtol=1e-4)
+    for name, value in norm.state_dict().items():
+        torch.testing.assert_close(ours.norm.state_dict()[name], value, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("training", [True, False])
+class TestLayersEqualTheirPlainForm:
+    """Each shared layer is nn.Linear and nn.BatchNorm1d on every edge, in value and gradient."""
+
+    @pytest.mark.parametrize("bias", [True, False])
+    def test_norm_linear(self, training: bool, bias: bool, clouds: Tensor) -> None:
+        ours = NormLinear(5, 8, bias=bias)
+        x = torch.cat([clouds * 3 + 1, clouds[..., :2]], dim=-1).requires_grad_()
+        theirs = plain(ours)
+        for module in (ours, *theirs):
+            module.train(training)
+        assert_same(ours, theirs, (ours(x), normed(*theirs, x)), (x,))
+
+    def test_maximum_over_points(self, training: bool, clouds: Tensor) -> None:
+        ours = NormLinear(3, 600)
+        x = clouds[:, :150].clone().requires_grad_()
+        theirs = plain(ours)
+        for module in (ours, *theirs):
+            module.train(training)
+        assert_same(ours, theirs, (ours.max(x), normed(*theirs, x).amax(dim=1)), (x,))
+
+    def test_edge_convolution(self, training: bool, clouds: Tensor) -> None:
+        ours = EdgeConv(3, 16)
+        x = clouds[:, :150].clone().requires_grad_()
+        theirs = plain(ours)
+        for module in (ours, *theirs):
+            module.train(training)
+        neighbours = points.gather(x, points.knn(x, 9))
+        centre = x[:, :, None].expand_as(neighbours)
+        y = normed(*theirs, torch.cat([neighbours - centre, centre], dim=-1))
+        assert_same(ours, theirs, (ours(x, 9), F.leaky_relu(y, SLOPE).amax(dim=2)), (x,))
+
+    @pytest.mark.parametrize("use_xyz", [True, False])
+    def test_grouped_layer(self, training: bool, use_xyz: bool, clouds: Tensor) -> None:
+        ours = GroupLinear(4, 16, use_xyz)
+        theirs = plain(ours)
+        for module in (ours, *theirs):
+            module.train(training)
+        features = torch.cat([clouds.square(), clouds[..., :1]], dim=-1).requires_grad_()
+        centres = clouds[:, :30]
+        index = points.ball_query(centres, clouds, 0.4, 10)
+        relative = [points.gather(clouds, index) - centres[:, :, None]] if use_xyz else []
+        grouped = torch.cat([*relative, points.gather(features, index)], dim=-1)
+        balls = without_padding(index, clouds.shape[1])
+        rows = ours(clouds, features, centres, balls) * balls.weight[:, None]
+        sums = rows.new_zeros(90, 16).index_add(0, balls.centre, rows).view(3, 30, 16)
+        expected = normed(*theirs, grouped).relu().sum(dim=2)
+        assert_same(ours, theirs, (sums, expected), (features,))
+
+
+class TestLayers:
+    def test_gradients_in_double_precision(self, rng: np.random.Generator) -> None:
+        def values(*shape: int) -> Tensor:
+            return torch.from_numpy(rng.normal(size=shape)).requires_grad_()
+
+        index = torch.from_numpy(rng.integers(0, 7, (5, 4)))
+        check = torch.autograd.gradcheck
+        weight = torch.from_numpy(rng.integers(0, 4, 9)).double()
+        assert check(shared_mlp._Moments.apply, (values(9, 3), 9, None))
+        assert check(shared_mlp._Moments.apply, (values(9, 3), int(weight.sum()), weight))
+        assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
+        assert check(edges._EdgeMoments.apply, (values(7, 3), values(5, 3), index))
+        centre = torch.arange(5).repeat_interleave(4)
+        assert check(edges._EdgeReLU.apply, (values(7, 3), values(5, 3), index.flatten(), centre))
+        assert check(edges._NeighbourMax.apply, (values(7, 3), index))
+
+    def test_work_in_parts_gives_the_same(
+        self, monkeypatch: pytest.MonkeyPatch, clouds: Tensor
+    ) -> None:
+        torch.manual_seed(0)
+        mlp = SharedMLP(3, 8, 32)
+        whole = mlp.max(clouds)
+        whole.square().sum().backward()
+        gradients = [p.grad for p in mlp.parameters()]
+        mlp.zero_grad()
+        monkeypatch.setattr(shared_mlp, "CHUNK", 64)
+        parts = mlp.max(clouds)
+        parts.square().sum().backward()
+        torch.testing.assert_close(parts, whole, atol=1e-5, rtol=1e-5)
+        for parameter, gradient in zip(mlp.parameters(), gradients, strict=True):
+            torch.testing.assert_close(parameter.grad, gradient, atol=1e-3, rtol=1e-4)
+
+    def test_variance_survives_a_large_mean(self) -> None:
+        """Values near 100 with spread 0.01 keep three digits of their variance."""
+        x = 100 + 0.01 * torch.randn(5000, 4, generator=torch.Generator().manual_seed(0))
+        _, covariance = shared_mlp._Moments.apply(x, len(x), None)
+        expected = np.cov(x.double().numpy().T, bias=True)
+        np.testing.assert_allclose(covariance.diagonal(), expected.diagonal(), rtol=1e-3)
+
+    def test_one_value_a_channel_is_refused_in_training(self) -> None:
+        with pytest.raises(ValueError, match="more than one value"):
+            NormLinear(3, 4)(torch.zeros(1, 1, 3))
