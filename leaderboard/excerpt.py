@@ -1,0 +1,59 @@
+"""Tables of the board in another document: some columns of a section, kept in step with it.
+
+    python -m leaderboard.excerpt README.md docs/board/leaderboard.md
+
+The document marks where, and its own header row says which columns::
+
+    <!-- leaderboard: pm40-clouds, partial, mini -->
+    | model | accuracy | 95 % interval |
+    …
+    <!-- end -->
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+from partialbench.errors import InputError
+
+_BLOCK = re.compile(r"(<!-- leaderboard: (.*?) -->\n)(.*?)(<!-- end -->)", re.S)
+
+
+def fill(document: str, board: str) -> str:
+    """The document with every marked table made anew from the board's (both Markdown).
+
+    Raises:
+        InputError: the board has no such section, or its table no such column.
+    """
+    sections = {part.split("\n", 1)[0]: part for part in board.split("\n## ")}
+
+    def table(match: re.Match[str]) -> str:
+        begin, title, old, end = match.groups()
+        if title not in sections:
+            raise InputError(f"the board has no section {title!r}, but {', '.join(sections)}")
+        lines = [_cells(line) for line in sections[title].splitlines() if line.startswith("|")]
+        wanted = _cells(old.split("\n", 1)[0])
+        missing = [name for name in wanted if name not in lines[0]]
+        if missing:
+            raise InputError(f"{title}: no column {missing[0]!r}, but {', '.join(lines[0])}")
+        columns = [lines[0].index(name) for name in wanted]
+        chosen = [[cells[c] for c in columns] for cells in lines]
+        chosen[1] = ["---"] * len(columns)
+        return begin + "".join(f"| {' | '.join(cells)} |\n" for cells in chosen) + end
+
+    return _BLOCK.sub(table, document)
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def main() -> None:
+    document, board = map(Path, sys.argv[1:])
+    document.write_text(fill(document.read_text(), board.read_text()))
+
+
+if __name__ == "__main__":
+    main()
