@@ -21,13 +21,14 @@ from partialbench.benchmark.predict import draw
 from partialbench.dataset.loader import ShardDataset
 
 BATCH = 16
+NUMBERS = (1, 2, 4, 8)
 
 
 def measure(path: Path, data: Path, most: int) -> dict[int, tuple[float, float]]:
     """{clouds: (accuracy by vote, accuracy of one cloud of all the points)}."""
     content = checkpoint.load(path)
     model, count = checkpoint.build_model(content), content["num_points"]
-    numbers = [n for n in (1, 2, 4, 8) if n <= most]
+    numbers = [n for n in NUMBERS if n <= most]
     test = ShardDataset(data, "test", count * numbers[-1])
 
     def probabilities(clouds: torch.Tensor) -> torch.Tensor:
@@ -53,7 +54,7 @@ def main() -> None:
     parser.add_argument("--checkpoint", type=Path, required=True)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument(
-        "--most", type=int, default=8, help="clouds; rows need so many times points"
+        "--most", type=int, default=8, choices=NUMBERS, help="clouds; the data need their points"
     )
     arguments = parser.parse_args()
     keep_freed_memory()

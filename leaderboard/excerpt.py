@@ -12,8 +12,8 @@ The document marks where, and its own header row says which columns::
 
 from __future__ import annotations
 
+import argparse
 import re
-import sys
 from pathlib import Path
 
 from partialbench.errors import InputError
@@ -51,8 +51,11 @@ def _cells(line: str) -> list[str]:
 
 
 def main() -> None:
-    document, board = map(Path, sys.argv[1:])
-    document.write_text(fill(document.read_text(), board.read_text()))
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("document", type=Path, help="Markdown with marked tables, changed in place")
+    parser.add_argument("board", type=Path, help="the board's leaderboard.md")
+    files = parser.parse_args()
+    files.document.write_text(fill(files.document.read_text(), files.board.read_text()))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Clouds to compute with."""
+"""Clouds to compute with, and the same random weights in every test."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ import torch
 from torch import Tensor
 
 from baselines import points
+
+
+@pytest.fixture(autouse=True)
+def seed() -> None:
+    torch.manual_seed(0)
 
 
 @pytest.fixture

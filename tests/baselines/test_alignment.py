@@ -10,11 +10,6 @@ from baselines.itnet import ITNetPointNet2
 from baselines.pointnet import PointNet, orthogonality_penalty
 
 
-@pytest.fixture(autouse=True)
-def seed() -> None:
-    torch.manual_seed(0)
-
-
 class TestPointNet:
     def test_penalty_by_hand(self) -> None:
         """T = 2I in three dimensions: TTᵀ − I = 3I, ½·27 each, summed over two clouds."""

@@ -13,11 +13,6 @@ from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
 
 
-@pytest.fixture(autouse=True)
-def seed() -> None:
-    torch.manual_seed(0)
-
-
 def brute_distances(a: Tensor, b: Tensor) -> np.ndarray:
     pairs = a.double().numpy()[:, :, None] - b.double().numpy()[:, None]
     return np.linalg.norm(pairs, axis=-1)

@@ -11,11 +11,6 @@ from baselines import points, rri
 from partialbench.geometry.rotations import haar_rotations
 
 
-@pytest.fixture(autouse=True)
-def seed() -> None:
-    torch.manual_seed(0)
-
-
 def pairwise_rri(cloud: np.ndarray, k: int) -> list[np.ndarray]:
     """ClusterNet's formulas as written, neighbour by neighbour, each point's rows sorted."""
     features = []

@@ -15,13 +15,8 @@ from baselines.pointnet2 import GroupLinear
 from baselines.shared_mlp import NormLinear, SharedMLP
 
 
-@pytest.fixture(autouse=True)
-def seed() -> None:
-    torch.manual_seed(0)
-
-
-def plain(layer: shared_mlp.Normed) -> tuple[nn.Linear, nn.BatchNorm1d]:
-    """torch's own two layers with the same parameters, some scales negative."""
+def plain(layer: shared_mlp.Normed, training: bool) -> tuple[nn.Linear, nn.BatchNorm1d]:
+    """torch's own two layers with the same parameters, some scales negative; all in one mode."""
     with torch.no_grad():
         layer.norm.weight.uniform_(-1.5, 1.5)
         layer.norm.bias.uniform_(-1, 1)
@@ -30,6 +25,8 @@ def plain(layer: shared_mlp.Normed) -> tuple[nn.Linear, nn.BatchNorm1d]:
     norm = nn.BatchNorm1d(layer.norm.num_features)
     linear.load_state_dict(layer.linear.state_dict())
     norm.load_state_dict(layer.norm.state_dict())
+    for module in (layer, linear, norm):
+        module.train(training)
     return linear, norm
 
 
@@ -66,25 +63,19 @@ class TestLayersEqualTheirPlainForm:
     def test_norm_linear(self, training: bool, bias: bool, clouds: Tensor) -> None:
         ours = NormLinear(5, 8, bias=bias)
         x = torch.cat([clouds * 3 + 1, clouds[..., :2]], dim=-1).requires_grad_()
-        theirs = plain(ours)
-        for module in (ours, *theirs):
-            module.train(training)
+        theirs = plain(ours, training)
         assert_same(ours, theirs, (ours(x), normed(*theirs, x)), (x,))
 
     def test_maximum_over_points(self, training: bool, clouds: Tensor) -> None:
         ours = NormLinear(3, 600)
         x = clouds[:, :150].clone().requires_grad_()
-        theirs = plain(ours)
-        for module in (ours, *theirs):
-            module.train(training)
+        theirs = plain(ours, training)
         assert_same(ours, theirs, (ours.max(x), normed(*theirs, x).amax(dim=1)), (x,))
 
     def test_edge_convolution(self, training: bool, clouds: Tensor) -> None:
         ours = EdgeConv(3, 16)
         x = clouds[:, :150].clone().requires_grad_()
-        theirs = plain(ours)
-        for module in (ours, *theirs):
-            module.train(training)
+        theirs = plain(ours, training)
         neighbours = points.gather(x, points.knn(x, 9))
         centre = x[:, :, None].expand_as(neighbours)
         y = normed(*theirs, torch.cat([neighbours - centre, centre], dim=-1))
@@ -93,9 +84,7 @@ class TestLayersEqualTheirPlainForm:
     @pytest.mark.parametrize("use_xyz", [True, False])
     def test_grouped_layer(self, training: bool, use_xyz: bool, clouds: Tensor) -> None:
         ours = GroupLinear(4, 16, use_xyz)
-        theirs = plain(ours)
-        for module in (ours, *theirs):
-            module.train(training)
+        theirs = plain(ours, training)
         features = torch.cat([clouds.square(), clouds[..., :1]], dim=-1).requires_grad_()
         centres = clouds[:, :30]
         index = points.ball_query(centres, clouds, 0.4, 10)
