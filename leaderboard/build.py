@@ -11,6 +11,7 @@ from leaderboard.board import make_board
 from leaderboard.check import problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
+from leaderboard.poses import pose_layouts
 from partialbench.benchmark import results
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
@@ -68,6 +69,7 @@ def build_leaderboard(
     galleries = [gallery.disagreements(column, folder, test_sets) for column in board]
     laid_out = [
         *layouts(board, comparisons),
+        *pose_layouts(board, folder),
         *rank_agreement(board),
         *map(curves.as_layout, families),
     ]

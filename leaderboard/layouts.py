@@ -6,7 +6,6 @@ Source of every figure: Xu et al., "Classification of Single-View Object Point C
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -85,11 +84,8 @@ def noise_title(result: Result) -> str:
 
 
 def _others(result: Result, option: str) -> str:
-    """What was changed about a row besides ``option``, as printed."""
-    options = {k: v for k, v in result.options.items() if k != option}
-    published = result.card["recipe"]
-    options |= {k: v for k, v in result.recipe.items() if v != published.get(k)}
-    return " ".join(f"{k}={json.dumps(v)}" for k, v in sorted(options.items()))
+    """What was changed about a row besides ``option``, as its variant has it."""
+    return " ".join(t for t in result.variant.split(" ") if t.partition("=")[0] != option)
 
 
 def _evaluations(board: list[Column]) -> list[Layout]:

@@ -96,6 +96,12 @@ def best_pose_errors_deg(predictions: Predictions) -> NDArray[np.float64]:
     return pose_errors_deg(best, predictions.rotations, predictions.symmetries)
 
 
+def pose_hits(predictions: Predictions) -> NDArray[np.bool_]:
+    """(M,20): column k − 1 says whether a cloud's ``true_pose_bins`` is among the k best."""
+    true = true_pose_bins(predictions.rotations, predictions.symmetries)
+    return np.logical_or.accumulate(predictions.pose_bins == true[:, None], axis=1)
+
+
 def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
     """Pose scores of a model that has a pose; None for one that has not.
 
@@ -107,11 +113,9 @@ def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
     """
     if predictions.pose_bins.shape[1] == 0:
         return None
-    true = true_pose_bins(predictions.rotations, predictions.symmetries)
-    hit = predictions.pose_bins == true[:, None]
     errors = best_pose_errors_deg(predictions)
     return {
-        "top_k": [float(v) for v in np.cumsum(hit, axis=1).mean(axis=0)],
+        "top_k": [float(v) for v in pose_hits(predictions).mean(axis=0)],
         "mean_deg": float(errors.mean()),
         "median_deg": float(np.median(errors)),
         "within_15": float((errors < 15).mean()),
@@ -119,25 +123,29 @@ def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
     }
 
 
-def ensemble_accuracy(logits: NDArray, classes: NDArray, labels: NDArray) -> list[float] | None:
-    """For k = 1, 2, …: accuracy when the k most confident poses decide by their highest logit.
+def ensemble_correct(logits: NDArray, classes: NDArray, labels: NDArray) -> NDArray[np.bool_]:
+    """(M,k): column k − 1 says whether a cloud is right when its k best poses decide.
 
     Args:
         logits, classes: (M,k) the highest class logit under each pose, best pose first, and its
-            class; (M,0) for a model that has none, which gives None.
+            class.
         labels: (M,).
 
     Source: Xu et al., "Ensemble strategy", as TerenceHsu666/PAPNet@878adcc does it: raw logits are
     compared, and of equal ones the more confident pose decides.
     """
-    if logits.shape[1] == 0:
-        return None
-    hits = []
+    right = np.zeros(logits.shape, bool)
     for k in range(1, logits.shape[1] + 1):
         decides = logits[:, :k].argmax(axis=1)
-        answer = np.take_along_axis(classes, decides[:, None], axis=1)[:, 0]
-        hits.append(accuracy(labels, answer))
-    return hits
+        right[:, k - 1] = np.take_along_axis(classes, decides[:, None], axis=1)[:, 0] == labels
+    return right
+
+
+def ensemble_accuracy(logits: NDArray, classes: NDArray, labels: NDArray) -> list[float] | None:
+    """For k = 1, 2, …: the share of ``ensemble_correct``; None for a model without candidates."""
+    if logits.shape[1] == 0:
+        return None
+    return [float(share) for share in ensemble_correct(logits, classes, labels).mean(axis=0)]
 
 
 def visibility_bins(
