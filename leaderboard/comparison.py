@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from leaderboard.board import Column, ranked
 from partialbench.benchmark import results
 from partialbench.benchmark.metrics import shared_clouds
+from partialbench.benchmark.predictions import Predictions
 from partialbench.benchmark.results import Result
 from partialbench.benchmark.uncertainty import (
     bootstrap_intervals,
@@ -76,13 +77,18 @@ def compare(column: Column, folder: Path) -> Comparison:
     )
 
 
-def correct(result: Result, folder: Path) -> tuple[NDArray, NDArray, NDArray]:
-    """Of a result's counted clouds: row numbers, object ids, and whether the class is right."""
-    predictions, label = shared_clouds(
+def counted(result: Result, folder: Path) -> tuple[Predictions, NDArray]:
+    """A result's predictions of the clouds whose class it knows, and their labels among its own."""
+    return shared_clouds(
         results.read_predictions(folder, result),
         result.train_data.class_names,
         result.test_data.class_names,
     )
+
+
+def correct(result: Result, folder: Path) -> tuple[NDArray, NDArray, NDArray]:
+    """Of a result's counted clouds: row numbers, object ids, and whether the class is right."""
+    predictions, label = counted(result, folder)
     return predictions.rows, predictions.object_ids, predictions.predicted == label
 
 

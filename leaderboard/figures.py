@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from leaderboard.board import Column, ranked
-from leaderboard.comparison import Comparison
+from leaderboard.comparison import Comparison, counted
 from leaderboard.curves import Family
 from leaderboard.layouts import noise_title
 from leaderboard.words import paper_score, row_title
@@ -22,7 +22,6 @@ from partialbench.benchmark.metrics import (
     VISIBILITY_EDGES,
     best_pose_errors_deg,
     confusion,
-    shared_clouds,
     visibility_bins,
 )
 
@@ -275,9 +274,7 @@ def _confusion(column: Column, folder: Path) -> Figure:
     names = seeds[0].train_data.class_names
     counts = np.zeros((len(names), len(names)))
     for result in seeds:
-        stored, label = shared_clouds(
-            results.read_predictions(folder, result), names, result.test_data.class_names
-        )
+        stored, label = counted(result, folder)
         counts += confusion(label, stored.predicted, len(names))
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     size = 1.5 + 0.16 * len(names)

@@ -11,17 +11,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from leaderboard.board import Cell, Column, ranked
+from leaderboard.board import Column, ranked
+from leaderboard.comparison import counted
 from leaderboard.layouts import Layout, noise_title
 from leaderboard.words import difference, interval, percent, row_title
-from partialbench.benchmark import results
 from partialbench.benchmark.metrics import (
     best_pose_errors_deg,
     ensemble_correct,
     pose_hits,
-    shared_clouds,
 )
-from partialbench.benchmark.predictions import Predictions
 from partialbench.benchmark.uncertainty import bootstrap_intervals
 
 TOP_K = (1, 5, 20)
@@ -49,7 +47,7 @@ def _found(column: Column, folder: Path) -> Layout | None:
         cell = column.cells[name]
         if not cell.results[0].scores["pose"]:
             continue
-        tested = _tested(cell, folder)
+        tested = [counted(result, folder) for result in cell.results]
         hits = []
         for predictions, _ in tested:
             near = best_pose_errors_deg(predictions) < NEAR_DEG
@@ -74,7 +72,7 @@ def _deciding(column: Column, folder: Path) -> Layout | None:
         cell = column.cells[name]
         if not cell.results[0].scores["ensemble"]:
             continue
-        tested = _tested(cell, folder)
+        tested = [counted(result, folder) for result in cell.results]
         object_ids = tested[0][0].object_ids
         seeds = [
             ensemble_correct(p.candidate_logits, p.candidate_classes, labels)
@@ -102,18 +100,6 @@ def _deciding(column: Column, folder: Path) -> Layout | None:
         ["model", *(f"k = {k}" for k in DECIDING), "gain"],
         rows,
     )
-
-
-def _tested(cell: Cell, folder: Path) -> list[tuple[Predictions, NDArray]]:
-    """Of each seed: its predictions of the counted clouds, and their labels."""
-    return [
-        shared_clouds(
-            results.read_predictions(folder, result),
-            result.train_data.class_names,
-            result.test_data.class_names,
-        )
-        for result in cell.results
-    ]
 
 
 def _with_intervals(values: NDArray, object_ids: NDArray) -> list[str]:
