@@ -12,6 +12,7 @@ from leaderboard.check import problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
 from leaderboard.poses import pose_layouts
+from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark import results
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
@@ -72,6 +73,7 @@ def build_leaderboard(
         *pose_layouts(board, folder),
         *rank_agreement(board),
         *map(curves.as_layout, families),
+        *tuning_layouts(folder, records),
     ]
     contents = {
         "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),

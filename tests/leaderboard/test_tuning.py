@@ -1,0 +1,68 @@
+"""Tables of tuning trials."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import asdict, fields, replace
+
+import pytest
+
+from leaderboard.build import build_leaderboard
+from leaderboard.tuning import tuning_layouts
+from partialbench.benchmark import results
+from partialbench.benchmark.tune import FILE, Trial
+from partialbench.errors import InputError
+from tests.leaderboard.records import add
+
+TRIAL = Trial("one", "", "lr=0.001", 0, "a" * 64, "c" * 64, 4000, 1.5, 0.25)
+
+
+def write(folder, *trials):
+    with open(folder / FILE, "w", newline="") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(Trial)])
+        writer.writeheader()
+        writer.writerows(map(asdict, trials))
+
+
+def layouts(folder):
+    return tuning_layouts(folder, results.read_folder(folder))
+
+
+def test_without_trials_there_is_no_table(tmp_path):
+    add(tmp_path, "one", 0.5)
+    assert layouts(tmp_path) == []
+
+
+def test_each_recipe_has_its_accuracy_and_the_best_is_named(tmp_path):
+    add(tmp_path, "one", 0.5)
+    write(
+        tmp_path,
+        replace(TRIAL, model="my:model", options="grid=16", validation_accuracy=0.125),
+        TRIAL,
+        replace(TRIAL, recipe="lr=0.01", validation_accuracy=0.5),
+        replace(TRIAL, recipe="", validation_accuracy=0.375),
+    )
+    (table,) = layouts(tmp_path)
+    assert "pm40-parametric" in table.title
+    assert table.head == ["model", "clouds seen", "as it is", "lr=0.001", "lr=0.01", "best"]
+    assert table.rows == [
+        ["ONE", "4.0 k", "37.5", "25.0", "50.0", "lr=0.01"],
+        ["my:model [grid=16]", "4.0 k", "–", "12.5", "–", "lr=0.001"],
+    ]
+
+
+@pytest.mark.parametrize("change", [{"data": "d" * 64}, {"protocol": "d" * 64}, {"seed": 1}])
+def test_trials_that_cannot_be_compared_are_tables_of_their_own(tmp_path, change):
+    add(tmp_path, "one", 0.5)
+    write(tmp_path, TRIAL, replace(TRIAL, **change))
+    assert [len(table.rows) for table in layouts(tmp_path)] == [1, 1]
+
+
+def test_the_board_shows_them_and_refuses_a_file_that_holds_none(tmp_path):
+    add(tmp_path, "one", 0.5)
+    write(tmp_path, TRIAL)
+    build_leaderboard(tmp_path, tmp_path / "board")
+    assert "Tuning on pm40-parametric" in (tmp_path / "board" / "leaderboard.md").read_text()
+    (tmp_path / FILE).write_text("model,seed\none,first\n")
+    with pytest.raises(InputError, match=r"tuning\.csv is not a file of trials"):
+        build_leaderboard(tmp_path, tmp_path / "board")
