@@ -24,6 +24,7 @@ from partialbench.dataset.manifest import Manifest
 from partialbench.dataset.rows import Job
 from partialbench.dataset.sources import ObjectRef, RejectedObject, RejectedView, View
 from partialbench.errors import InputError
+from partialbench.geometry.portable import polar_rotation
 from partialbench.geometry.rotations import is_rotation
 
 SPLITS = ("train", "test")
@@ -239,5 +240,4 @@ def _orthonormal(rotations: NDArray, where: str) -> NDArray[np.float64]:
             f"(finite, R·Rᵀ = I within {ROTATION_TOLERANCE:g}, det > 0), the first is row {row}: "
             f"{matrices[row].round(4).tolist()}"
         )
-    u, _, vt = np.linalg.svd(matrices)
-    return u @ vt
+    return polar_rotation(matrices)

@@ -28,21 +28,23 @@ def apply(matrix: NDArray, vector: NDArray) -> NDArray[np.float64]:
 
 
 def inverse(matrix: NDArray) -> NDArray[np.float64]:
-    """Of a regular (3,3) matrix, by its cofactors."""
-    x, y, z = np.asarray(matrix, np.float64)
-    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
-    return cofactors / (x[0] * cofactors[0, 0] + x[1] * cofactors[1, 0] + x[2] * cofactors[2, 0])
+    """Of regular (…,3,3) matrices, by their cofactors."""
+    x, y, z = np.moveaxis(np.asarray(matrix, np.float64), -2, 0)
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
+    first = cofactors[..., 0]
+    determinant = x[..., 0] * first[..., 0] + x[..., 1] * first[..., 1] + x[..., 2] * first[..., 2]
+    return cofactors / determinant[..., None, None]
 
 
 def polar_rotation(matrix: NDArray) -> NDArray[np.float64]:
-    """The rotation Q of the polar decomposition Q·P of a (3,3) matrix of positive determinant.
+    """The rotations Q of the polar decompositions Q·P of (…,3,3) matrices of positive determinant.
 
     Newton's iteration, Q ← (Q + Q⁻ᵀ) / 2. Source: Higham, "Computing the polar decomposition, with
     applications", SIAM J. Sci. Stat. Comput. 7 (1986).
     """
     Q = np.asarray(matrix, np.float64)
     for _ in range(50):
-        before, Q = Q, (Q + inverse(Q).T) / 2
-        if np.abs(Q - before).max() < _CONVERGED:
+        before, Q = Q, (Q + np.swapaxes(inverse(Q), -1, -2)) / 2
+        if np.abs(Q - before).max(initial=0) < _CONVERGED:
             break
     return Q

@@ -21,13 +21,17 @@ def test_products_and_inverse_are_numpys() -> None:
     np.testing.assert_allclose(portable.product(np.eye(4) * 2, np.ones((4, 4))), np.full((4, 4), 2))
     np.testing.assert_allclose(portable.apply(b, v), b @ v, atol=1e-14)
     np.testing.assert_allclose(portable.inverse(b), np.linalg.inv(b), rtol=1e-12)
+    many = RNG.normal(size=(2, 5, 3, 3))
+    np.testing.assert_allclose(portable.inverse(many), np.linalg.inv(many), rtol=1e-9)
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.01, 0.02, 0.015), (300, 2, 40)])
 def test_polar_rotation_takes_the_stretch_off(scale: tuple[float, ...]) -> None:
-    for R in haar_rotations(RNG, 20):
-        found = portable.polar_rotation(R * np.array(scale, float))
-        np.testing.assert_allclose(found, R, atol=1e-13)
+    R = haar_rotations(RNG, 20)
+    stretched = R * np.array(scale, float)
+    np.testing.assert_allclose(portable.polar_rotation(stretched), R, atol=1e-13)
+    one = portable.polar_rotation(stretched[3])
+    np.testing.assert_allclose(one, R[3], atol=1e-13)
 
 
 _POSES = """
