@@ -6,6 +6,7 @@ averaged cloud by cloud before objects are resampled.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,8 @@ from partialbench.benchmark.metrics import (
     ensemble_correct,
     pose_hits,
 )
+from partialbench.benchmark.predictions import Predictions
+from partialbench.benchmark.results import Result
 from partialbench.benchmark.uncertainty import bootstrap_intervals
 
 TOP_K = (1, 5, 20)
@@ -43,17 +46,13 @@ def pose_layouts(board: list[Column], folder: Path) -> list[Layout]:
 
 def _found(column: Column, folder: Path) -> Layout | None:
     rows = []
-    for name in ranked(column):
-        cell = column.cells[name]
-        if not cell.results[0].scores["pose"]:
-            continue
-        tested = [counted(result, folder) for result in cell.results]
+    for result, tested in _tested(column, folder, "pose"):
         hits = []
         for predictions, _ in tested:
             near = best_pose_errors_deg(predictions) < NEAR_DEG
             hits.append(np.column_stack([pose_hits(predictions)[:, [k - 1 for k in TOP_K]], near]))
         shares = _with_intervals(np.mean(hits, axis=0), tested[0][0].object_ids)
-        rows.append([row_title(cell.results[0]), *shares])
+        rows.append([row_title(result), *shares])
     if not rows:
         return None
     return Layout(
@@ -68,11 +67,7 @@ def _found(column: Column, folder: Path) -> Layout | None:
 
 def _deciding(column: Column, folder: Path) -> Layout | None:
     rows = []
-    for name in ranked(column):
-        cell = column.cells[name]
-        if not cell.results[0].scores["ensemble"]:
-            continue
-        tested = [counted(result, folder) for result in cell.results]
+    for result, tested in _tested(column, folder, "ensemble"):
         object_ids = tested[0][0].object_ids
         seeds = [
             ensemble_correct(p.candidate_logits, p.candidate_classes, labels)
@@ -84,7 +79,7 @@ def _deciding(column: Column, folder: Path) -> Layout | None:
         ((low, high),) = bootstrap_intervals(gain, object_ids)
         rows.append(
             [
-                noise_title(cell.results[0]),
+                noise_title(result),
                 *_with_intervals(right[:, [k - 1 for k in sizes]], object_ids),
                 *["–"] * (len(DECIDING) - len(sizes)),
                 difference((float(gain.mean()), float(low), float(high))),
@@ -100,6 +95,16 @@ def _deciding(column: Column, folder: Path) -> Layout | None:
         ["model", *(f"k = {k}" for k in DECIDING), "gain"],
         rows,
     )
+
+
+def _tested(
+    column: Column, folder: Path, score: str
+) -> Iterator[tuple[Result, list[tuple[Predictions, NDArray]]]]:
+    """Of each row that has the score, best first: a record, and every seed's counted clouds."""
+    for name in ranked(column):
+        results = column.cells[name].results
+        if results[0].scores[score]:
+            yield results[0], [counted(result, folder) for result in results]
 
 
 def _with_intervals(values: NDArray, object_ids: NDArray) -> list[str]:
