@@ -96,6 +96,22 @@ class Protocol:
             return self.epochs
         return max(1, min(recipe.epochs, math.ceil(self.clouds_seen / train_clouds)))
 
+    def describe_epochs(self, recipe: Recipe, train_clouds: int) -> str:
+        """The number of epochs in words, and what the budget would have asked for if it is another.
+
+        For "mini" with clouds_seen=480000 on 26,574 clouds: "8 epochs of 26,574 clouds, where the
+        recipe ends; clouds_seen=480,000 would be 19. epochs=19 makes it so".
+        """
+        epochs = self.num_epochs(recipe, train_clouds)
+        text = f"{epochs:,} epoch{'s' if epochs > 1 else ''} of {train_clouds:,} clouds"
+        asked = math.ceil(self.clouds_seen / train_clouds)
+        if self.epochs is not None or asked == epochs:
+            return text
+        return (
+            f"{text}, where the recipe ends; clouds_seen={self.clouds_seen:,} would be {asked:,}. "
+            f"epochs={asked} makes it so"
+        )
+
 
 PRESETS: dict[str, Protocol] = {
     # Shows that everything runs: seconds for most models, a minute or two on two cores for those on

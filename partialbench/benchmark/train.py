@@ -179,6 +179,7 @@ def train(
     epochs = task.protocol.num_epochs(task.recipe, len(task.train_rows))
     schedule = Schedule(task.recipe, epochs)
     total_steps = epochs * len(stream)
+    log.info(task.protocol.describe_epochs(task.recipe, len(task.train_rows)))
     train_sources = duplicates.source_keys(task.dataset.source_digests)
 
     # Where it stands: the next batch to take, and the running sums of the epoch under way.

@@ -62,6 +62,21 @@ def test_the_number_of_epochs_keeps_to_the_budget_and_to_the_recipe():
     assert dataclasses.replace(paper, epochs=5).num_epochs(Recipe(epochs=2), 100) == 5
 
 
+def test_a_budget_that_the_recipe_cuts_short_is_told():
+    recipe = Recipe(epochs=8)
+    more = protocol("mini", clouds_seen=480_000)
+    assert more.describe_epochs(recipe, 26_574) == (
+        "8 epochs of 26,574 clouds, where the recipe ends; clouds_seen=480,000 would be 19. "
+        "epochs=19 makes it so"
+    )
+    assert protocol("mini", epochs=19).describe_epochs(recipe, 26_574) == (
+        "19 epochs of 26,574 clouds"
+    )
+    assert protocol("mini", clouds_seen=4_000).describe_epochs(recipe, 26_574) == (
+        "1 epoch of 26,574 clouds"
+    )
+
+
 def ids_and_labels(rng, classes=4, objects=10, views=3):
     labels = np.repeat(np.arange(classes), objects * views)
     ids = np.repeat([f"o{i:03d}" for i in range(classes * objects)], views)
