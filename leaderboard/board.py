@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from partialbench.benchmark.protocol import PRESETS
 from partialbench.benchmark.results import Result
 
 
@@ -101,7 +102,22 @@ def _title(result: Result) -> str:
     setting = train.setting if train.setting == test.setting else (
         f"{train.setting} → {test.setting}"
     )  # fmt: skip
-    return f"{sets}, {setting}, {result.protocol['preset']}"
+    return f"{sets}, {setting}, {protocol_title(result)}"
+
+
+def protocol_title(result: Result) -> str:
+    """The preset and what was changed about it, "mini epochs=16".
+
+    "mini+" where the preset itself has changed since.
+    """
+    used = dict(result.protocol)
+    name = str(used.pop("preset"))
+    preset = PRESETS.get(name.removesuffix("+"))
+    if preset is None or preset.preset == name or preset.version != used["version"]:
+        return name
+    own = preset.as_dict()
+    changed = (f"{field}={value}" for field, value in used.items() if own.get(field) != value)
+    return " ".join([preset.preset, *changed])
 
 
 def _reported(result: Result) -> str:

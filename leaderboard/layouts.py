@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from leaderboard.board import Column, ranked
+from leaderboard.board import Column, protocol_title, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.words import interval, percent, reported, reported_name, row_title
 from partialbench.benchmark.results import Result
@@ -98,7 +98,7 @@ def _evaluations(board: list[Column]) -> list[Layout]:
     for columns in protocols.values():
         if len(columns) < 2:
             continue
-        preset = next(iter(columns[0].cells.values())).results[0].protocol["preset"]
+        preset = protocol_title(next(iter(columns[0].cells.values())).results[0])
         columns.sort(key=lambda c: (_PAIRS.index(c.reported), c.title))
         names = dict.fromkeys(
             name for column in columns for name in ranked(column)

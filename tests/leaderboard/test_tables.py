@@ -20,6 +20,7 @@ from leaderboard.comparison import compare
 from leaderboard.latex import escape
 from leaderboard.words import engineering
 from partialbench.benchmark import results
+from partialbench.benchmark.protocol import protocol
 from partialbench.errors import InputError
 from tests.leaderboard.records import add, predictions, record, small_board
 
@@ -247,6 +248,22 @@ def test_the_run_name_is_a_file_name_and_depends_on_what_the_run_is():
         names.add(dataclasses.replace(base, **change).run_name)
     assert len(names) == 4
     assert all(re.fullmatch(r"[A-Za-z0-9._=+-]+", name) for name in names)
+
+
+def test_a_column_says_what_was_changed_about_its_preset():
+    stored = predictions(0.9, 0)
+    base = record("one", stored)
+    changed = protocol("mini", epochs=16, jitter_sigma=0.0)
+    other = dataclasses.replace(base, protocol=changed.as_dict(), protocol_digest=changed.digest)
+    older = dataclasses.replace(
+        other, protocol=changed.as_dict() | {"version": changed.version - 1}, protocol_digest="0"
+    )
+    titles = [column.title for column in make_board([base, other, older])]
+    assert sorted(titles) == [
+        "pm40-parametric, partial, mini",
+        "pm40-parametric, partial, mini epochs=16 jitter_sigma=0.0",
+        "pm40-parametric, partial, mini+",
+    ]
 
 
 def test_columns_that_differ_in_protocol_or_direction_name_their_figures_differently():
