@@ -2,7 +2,8 @@
 
 A curve is one row of the board under one condition, from the records that ``partialbench eval
 --checkpoint … --test-points`` or ``--test-data`` (a folder rendered with ``--sensor``) wrote beside
-the row's own. The weights are the same throughout; nothing is trained for a condition.
+the row's own. The weights are the same throughout: nothing is trained for a condition, and of a
+row's seeds those count that were tested under each of its conditions.
 """
 
 from __future__ import annotations
@@ -87,8 +88,11 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
                 for result in here:
                     if result.row == name and _condition(result) == condition:
                         at[_place(result)].append(result)
-                if len(at) > 1:
-                    curves[name] = [_point(x, at[x], folder) for x in sorted(at)]
+                seeds = set.intersection(*({r.seed for r in found} for found in at.values()))
+                if len(at) > 1 and seeds:
+                    curves[name] = [
+                        _point(x, [r for r in at[x] if r.seed in seeds], folder) for x in sorted(at)
+                    ]
             if curves:
                 families.append(Family(column, condition, curves))
     return families
@@ -104,7 +108,8 @@ def as_layout(family: Family) -> Layout:
         rows.append([title, *(there.get(x, "–") for x in places)])
     return Layout(
         f"Accuracy (%) against the {family.axis}: {family.column.title}",
-        "The same weights throughout, in brackets the 95 % interval over test objects.",
+        "The same weights throughout: of a row's seeds, those tested at each of its places. In "
+        "brackets the 95 % interval over test objects.",
         ["model", *(f"{x:g}" for x in places)],
         rows,
     )

@@ -41,13 +41,15 @@ def _layout(trials: list[Trial], titles: dict[str, str], data: dict[str, str]) -
     rows = []
     for title, tried in models.items():
         found = {trial.recipe: trial.validation_accuracy for trial in tried}
-        best = max(found, key=lambda recipe: (found[recipe], recipe))
+        best = [
+            recipe or AS_IT_IS for recipe in recipes if found.get(recipe) == max(found.values())
+        ]
         rows.append(
             [
                 title,
                 engineering(tried[0].clouds_seen),
                 *(percent(found[r], None) if r in found else "–" for r in recipes),
-                best or AS_IT_IS,
+                ", ".join(best),
             ]
         )
     rows.sort(key=lambda row: row[0])

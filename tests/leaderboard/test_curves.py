@@ -55,6 +55,17 @@ def test_a_curve_holds_the_rows_own_result_and_the_mean_over_seeds(folder):
     assert first.low < first.accuracy < first.high
 
 
+def test_a_curve_is_of_the_seeds_tested_everywhere_on_it(folder):
+    add(folder, "good", 0.4, 1, posed=True, points=32)
+    board, found = families(folder)
+    points = next(f for f in found if f.condition == "points").curves["good"]
+    assert [(p.x, p.seeds) for p in points] == [(32, 1), (64, 1), (128, 1), (256, 1)]
+    own = next(r for r in board[0].cells["good"].results if r.seed == 1)
+    assert points[-1].accuracy == pytest.approx(own.scores["accuracy"])
+    add(folder, "good", 0.4, 0, posed=True, points=16)  # and no seed is left
+    assert [f.condition for f in families(folder)[1]] == ["kinect-v1", "tof"]
+
+
 def test_a_condition_on_another_data_set_is_transfer_and_stays_a_column(tmp_path):
     small_board(tmp_path)
     add(tmp_path, "good", 0.5, test="ps15-rooms", test_digest="d", sensor="kinect-v1:1")

@@ -40,13 +40,13 @@ def test_each_recipe_has_its_accuracy_and_the_best_is_named(tmp_path):
         replace(TRIAL, model="my:model", options="grid=16", validation_accuracy=0.125),
         TRIAL,
         replace(TRIAL, recipe="lr=0.01", validation_accuracy=0.5),
-        replace(TRIAL, recipe="", validation_accuracy=0.375),
+        replace(TRIAL, recipe="", validation_accuracy=0.5),
     )
     (table,) = layouts(tmp_path)
     assert "pm40-parametric" in table.title
     assert table.head == ["model", "clouds seen", "as it is", "lr=0.001", "lr=0.01", "best"]
     assert table.rows == [
-        ["ONE", "4.0 k", "37.5", "25.0", "50.0", "lr=0.01"],
+        ["ONE", "4.0 k", "50.0", "25.0", "50.0", "as it is, lr=0.01"],
         ["my:model [grid=16]", "4.0 k", "–", "12.5", "–", "lr=0.001"],
     ]
 
