@@ -8,6 +8,7 @@ from typing import Any
 
 from partialbench.benchmark import metrics, results
 from partialbench.benchmark.results import SUFFIX, Result
+from partialbench.benchmark.trials import FILE, read_trials
 from partialbench.errors import InputError
 
 
@@ -16,7 +17,8 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
 
     Found are: records that are unreadable, incomplete or edited after they were written; prediction
     files that are missing or not their record's; two records of one run; prediction files that
-    belong to no record; and, with ``recompute``, scores that the stored predictions do not give.
+    belong to no record; a ``tuning.csv`` that is not one; and, with ``recompute``, scores that the
+    stored predictions do not give.
     """
     if not folder.is_dir():
         return [f"no results folder at {folder}"]
@@ -41,6 +43,10 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
         for path in sorted(folder.glob("*.predictions.npz"))
         if path.name not in named
     ]
+    try:
+        read_trials(folder / FILE)
+    except InputError as error:
+        found.append(str(error))
     return found
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from leaderboard.layouts import Layout
 from leaderboard.words import engineering, percent
 from partialbench.benchmark.results import Result
-from partialbench.benchmark.tune import FILE, Trial, read_trials
+from partialbench.benchmark.trials import FILE, Trial, read_trials
 
 AS_IT_IS = "as it is"
 

@@ -170,7 +170,7 @@ def tune(
     as_json: Json = False,
 ) -> None:
     """Compare recipes on the validation split; run again, it continues."""
-    from partialbench.benchmark.tune import FILE
+    from partialbench.benchmark.trials import FILE
     from partialbench.benchmark.tune import tune as compare
 
     with continued_by("the same command"):

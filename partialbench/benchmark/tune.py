@@ -6,11 +6,8 @@ of the table can see that each model was given as many.
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,42 +17,11 @@ from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.memory import keep_freed_memory
 from partialbench.benchmark.run import describe_changes, make_fabric, make_task, run_folder
 from partialbench.benchmark.train import train
+from partialbench.benchmark.trials import FILE, Trial, add_trial
 from partialbench.dataset.loader import ShardDataset
-from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 log = logging.getLogger(__name__)
-
-FILE = "tuning.csv"
-
-
-@dataclass(frozen=True)
-class Trial:
-    """One training and what came of it on the validation split.
-
-    Attributes:
-        model, options: as the record of the row has them; ``options`` as "k=v …".
-        recipe: what the trial changed about the model's recipe under the protocol, "" for nothing.
-        data, protocol: digests. clouds_seen: repeats counted.
-        validation_accuracy: share of validation clouds, after the last epoch.
-    """
-
-    model: str
-    options: str
-    recipe: str
-    seed: int
-    data: str
-    protocol: str
-    clouds_seen: int
-    train_loss: float
-    validation_accuracy: float
-
-    @property
-    def identity(self) -> tuple[object, ...]:
-        """Two trials with the same one are one trial."""
-        return (
-            self.model, self.options, self.data, self.protocol, self.seed, self.recipe,
-        )  # fmt: skip
 
 
 def tune(
@@ -115,36 +81,6 @@ def tune(
         )  # fmt: skip
         trials.append(trial)
         if fabric.is_global_zero:
-            _add(results_folder / FILE, trial)
+            add_trial(results_folder / FILE, trial)
         fabric.barrier()
     return sorted(trials, key=lambda t: -t.validation_accuracy)
-
-
-def read_trials(path: Path) -> list[Trial]:
-    """The trials of a ``tuning.csv``; none where there is no such file.
-
-    Raises:
-        InputError: a file that is not one.
-    """
-    if not path.is_file():
-        return []
-    kinds = {f.name: {"int": int, "float": float}.get(str(f.type), str) for f in fields(Trial)}
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            return [
-                Trial(**{name: kind(line[name]) for name, kind in kinds.items()})
-                for line in csv.DictReader(file)
-            ]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} is not a file of trials: {error!r}") from error
-
-
-def _add(path: Path, trial: Trial) -> None:
-    """Writes the file anew with the trial in the place of an earlier one of the same identity."""
-    kept = {old.identity: old for old in read_trials(path)} | {trial.identity: trial}
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, [f.name for f in fields(Trial)], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(kept[identity]) for identity in sorted(kept, key=repr))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, text.getvalue().encode())

@@ -10,7 +10,8 @@ from dataclasses import asdict
 import pytest
 from typer.testing import CliRunner
 
-from partialbench.benchmark.tune import FILE, read_trials, tune
+from partialbench.benchmark.trials import FILE, read_trials
+from partialbench.benchmark.tune import tune
 from partialbench.cli import app
 from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import data_folder

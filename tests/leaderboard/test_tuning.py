@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
-from dataclasses import asdict, fields, replace
+from dataclasses import replace
 
 import pytest
 
 from leaderboard.build import build_leaderboard
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark import results
-from partialbench.benchmark.tune import FILE, Trial
+from partialbench.benchmark.trials import FILE, Trial, add_trial
 from partialbench.errors import InputError
 from tests.leaderboard.records import add
 
@@ -18,10 +17,8 @@ TRIAL = Trial("one", "", "lr=0.001", 0, "a" * 64, "c" * 64, 4000, 1.5, 0.25)
 
 
 def write(folder, *trials):
-    with open(folder / FILE, "w", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Trial)])
-        writer.writeheader()
-        writer.writerows(map(asdict, trials))
+    for trial in trials:
+        add_trial(folder / FILE, trial)
 
 
 def layouts(folder):
