@@ -23,7 +23,7 @@ class Recipe:
     """How a model is published to be trained. What our protocol changes is said on its card.
 
     Attributes:
-        optimizer: "adam", "adamw" or "sgd".
+        optimizer: "adam", "adamw", "muon" or "sgd".
         lr, weight_decay, momentum, batch_size, epochs: as published.
         schedule: "constant", "step", "cosine", "one-cycle", "plateau"; ``schedule_options`` as the
             harness's ``benchmark.schedule`` takes them.

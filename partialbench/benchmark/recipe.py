@@ -10,11 +10,12 @@ import torch
 from torch import nn
 from torch.optim import Optimizer
 
+from partialbench.benchmark.muon import Muon
 from partialbench.benchmark.protocol import Protocol
 from partialbench.errors import InputError
 from partialbench.registry import SHORT_RECIPE, ModelCard, Recipe, close_matches
 
-OPTIMIZERS = ("adam", "adamw", "sgd")
+OPTIMIZERS = ("adam", "adamw", "muon", "sgd")
 
 
 def make_optimizer(model: nn.Module, recipe: Recipe) -> Optimizer:
@@ -26,6 +27,8 @@ def make_optimizer(model: nn.Module, recipe: Recipe) -> Optimizer:
         return torch.optim.Adam(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
     if recipe.optimizer == "adamw":
         return torch.optim.AdamW(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
+    if recipe.optimizer == "muon":
+        return Muon(parameters, recipe.lr, recipe.weight_decay)
     if recipe.optimizer == "sgd":
         return torch.optim.SGD(
             parameters, lr=recipe.lr, momentum=recipe.momentum, weight_decay=recipe.weight_decay
