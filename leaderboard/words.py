@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from leaderboard.board import Cell, Column
+from leaderboard.board import Cell, Column, protocol_title
 from partialbench.benchmark.results import Result
 
 
@@ -72,7 +72,7 @@ def describe(column: Column) -> str:
         f"{train.digest[:12]}), tested on {first.scores['clouds']:,} clouds of "
         f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}), "
         f"{first.protocol['num_points']:,} points a cloud; protocol "
-        f"{first.protocol['preset']} ({first.protocol_digest[:12]})."
+        f"{protocol_title(first)} ({first.protocol_digest[:12]})."
     )
 
 
