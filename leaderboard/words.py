@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from leaderboard.board import Cell, Column, protocol_title
-from partialbench.benchmark.results import Result
+from partialbench.benchmark.results import Result, clouds_before
 
 
 def row_title(result: Result) -> str:
@@ -58,9 +58,14 @@ def engineering(count: float) -> str:
 
 
 def budget(result: Result) -> str:
-    """What its training was given: clouds seen, repeats counted, and minutes on its hardware."""
+    """What its training was given: clouds seen, repeats counted, and minutes on its hardware.
+
+    A training that began from weights of another names that one's clouds too.
+    """
     training = result.training
-    return f"{engineering(training['clouds_seen'])} in {training['seconds'] / 60:.0f} min"
+    text = f"{engineering(training['clouds_seen'])} in {training['seconds'] / 60:.0f} min"
+    before = clouds_before(training.get("start"))
+    return f"{text}, after {engineering(before)}" if before else text
 
 
 def describe(column: Column) -> str:

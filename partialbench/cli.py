@@ -80,7 +80,9 @@ def models(as_json: Json = False) -> None:
 @app.command(
     name="eval",
     epilog="Examples: `partialbench eval --model pointnet --data data/pm40` · "
-    "`partialbench eval --model my_model:make --data data/pm40 --preset smoke`",
+    "`partialbench eval --model my_model:make --data data/pm40 --preset smoke` · "
+    "`partialbench eval --model pointnet --data data/mine --start-from "
+    "results/runs/…/checkpoint.pt --recipe lr=0.001`",
 )
 def evaluate(
     model: Annotated[
@@ -92,6 +94,9 @@ def evaluate(
     ] = None,
     checkpoint: Annotated[
         Path | None, typer.Option(help="test these weights instead of training")
+    ] = None,
+    start_from: Annotated[
+        Path | None, typer.Option(help="fine-tune: begin from the weights of this checkpoint")
     ] = None,
     preset: Annotated[
         Preset, typer.Option(help="how much: a minute; eight passes; real use; the paper's scale")
@@ -124,8 +129,8 @@ def evaluate(
     with continued_by("the same command with --resume"):
         done = run_eval(
             model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
-            first_seed=first_seed, precision=precision, checkpoint_every=checkpoint_every,
-            test_points=test_points or (),
+            first_seed=first_seed, start_from=start_from, precision=precision,
+            checkpoint_every=checkpoint_every, test_points=test_points or (),
             recipe=arguments.pairs(recipe), options=arguments.pairs(option),
             protocol=arguments.pairs(protocol),
         )  # fmt: skip
@@ -159,6 +164,9 @@ def tune(
     preset: Annotated[
         Preset, typer.Option(help="how much: a minute; eight passes; real use; the paper's scale")
     ] = Preset.mini,
+    start_from: Annotated[
+        Path | None, typer.Option(help="each trial begins from the weights of this checkpoint")
+    ] = None,
     seed: Annotated[int, typer.Option(help="of every trial")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     precision: Annotated[str, typer.Option(help="of training: 32-true, bf16-mixed")] = "32-true",
@@ -176,8 +184,8 @@ def tune(
     with continued_by("the same command"):
         trials = compare(
             model, data, [arguments.pairs(one.split(",")) for one in tries], preset.value, seed,
-            device, results, precision=precision, options=arguments.pairs(option),
-            protocol=arguments.pairs(protocol),
+            device, results, start_from=start_from, precision=precision,
+            options=arguments.pairs(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
     lines = [f"{t.validation_accuracy:6.1%}  {t.recipe}" for t in trials]
     print_result(

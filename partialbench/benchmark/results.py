@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,15 @@ def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
     )
 
 
+def clouds_before(start: Mapping[str, Any] | None) -> int:
+    """Clouds seen by all trainings before one that began from ``start``.
+
+    Args:
+        start: see ``finetune.Start.origin``; None for random weights.
+    """
+    return 0 if start is None else start["clouds_seen"] + clouds_before(start["start"])
+
+
 @dataclass(frozen=True)
 class Result:
     """One model, trained with one seed, on one test set.
@@ -78,7 +88,7 @@ class Result:
         card: snapshot of the model card. recipe: as used. deviations: from the published recipe.
         protocol, protocol_digest: what the run shares with the others of its column.
         train_data, test_data: see ``DataRecord``.
-        training: epochs, steps, clouds seen, seconds, clouds per second, last row of the log.
+        training: see ``train.Trained.summary``.
         cost: see ``audit.cost``. rotation_audit: see there.
         environment: of the test: hardware, package versions, git commit (None outside a checkout);
             that of the training is in ``training``.

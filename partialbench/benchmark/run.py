@@ -19,6 +19,7 @@ from partialbench.benchmark import (
     checkpoint,
     environment,
     evaluate,
+    finetune,
     metrics,
     models,
     results,
@@ -50,6 +51,7 @@ def run_eval(
     resume: bool = False,
     *,
     first_seed: int = 0,
+    start_from: Path | str | None = None,
     precision: str = "32-true",
     checkpoint_every: int | None = None,
     test_points: Sequence[int] = (),
@@ -70,6 +72,8 @@ def run_eval(
         preset: "smoke", "small", "mini" or "paper"; ``protocol`` and ``protocol_overrides`` change
             its fields (``epochs=2``), which makes it another protocol.
         seeds: how many, counted from ``first_seed``.
+        start_from: checkpoint of a finished training of this model, whose weights each training
+            begins from (fine-tuning); makes another row.
         device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
         resume: continue interrupted seeds; a finished training is not repeated.
         checkpoint_every: save every so many steps, besides after every epoch.
@@ -86,6 +90,10 @@ def run_eval(
     results_folder = Path(results_folder)
     fabric = make_fabric(device, precision)
     if checkpoint_file is not None:
+        if start_from is not None:
+            raise InputError(
+                "--checkpoint tests weights as they are, --start-from trains on from them: give one"
+            )
         folders = [folder for folder in (data, test_data) if folder is not None]
         return _test_checkpoint(
             model, Path(checkpoint_file), folders, test_points, options or {}, fabric,
@@ -106,9 +114,13 @@ def run_eval(
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
 
     written = []
-    variant = describe_changes(recipe or {}, options or {})
+    start = None if start_from is None else finetune.load(start_from, model)
+    origin = None if start is None else start.origin
+    variant = describe_changes(recipe or {}, options or {}, origin)
     for seed in range(first_seed, first_seed + seeds):
-        task = make_task(model, train_set, followed, used, seed, dict(options or {}), variant)
+        task = make_task(
+            model, train_set, followed, used, seed, dict(options or {}), variant, start
+        )
         folder = results_folder / "runs" / run_folder(task)
         log.info("training %s, seed %d, in %s", task.model, seed, folder)
         trained = train(task, fabric, folder, resume, checkpoint_every)
@@ -127,8 +139,11 @@ def make_task(
     seed: int,
     options: dict[str, Any],
     variant: str = "",
+    start: finetune.Start | None = None,
 ) -> Task:
     """The training a protocol prescribes on a train split."""
+    if start is not None:
+        finetune.check_split(start, train_set.dataset_id, protocol)
     train_rows, validation_rows = split_by_object(
         train_set.object_ids, train_set.labels, train_set.class_names,
         protocol.validation_fraction, protocol.split_seed,
@@ -137,8 +152,9 @@ def make_task(
     for limit in (protocol.max_train_clouds, protocol.max_test_clouds):
         validation_rows = balanced_subset(validation_rows, train_set.labels, limit)
     return Task(
-        model, train_set, train_rows, validation_rows, protocol, recipe, seed, options, variant
-    )
+        model, train_set, train_rows, validation_rows, protocol, recipe, seed, options, variant,
+        start,
+    )  # fmt: skip
 
 
 def run_folder(task: Task) -> str:
@@ -207,7 +223,10 @@ def _test(
         options=dict(content["options"]),
         card=_card_as_dict(card),
         recipe=recipe,
-        deviations=recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
+        deviations=[
+            *recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
+            *finetune.deviations(content["summary"].get("start")),
+        ],
         protocol=protocol.as_dict(),
         protocol_digest=protocol.digest,
         train_data=train_data,
@@ -260,7 +279,8 @@ def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dic
     own = recipes.as_dict(recipes.of_protocol(card, followed))
     recipe = {name: value for name, value in content["recipe"].items() if value != own[name]}
     merged = {**content["options"], **options}
-    return {**content, "options": merged, "variant": describe_changes(recipe, merged)}
+    variant = describe_changes(recipe, merged, content["summary"].get("start"))
+    return {**content, "options": merged, "variant": variant}
 
 
 def _open_test_sets(
@@ -320,6 +340,13 @@ def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> N
         )
 
 
-def describe_changes(recipe: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    """What was changed about a model or its recipe, as a row has it in brackets."""
-    return " ".join(f"{k}={v}" for k, v in sorted([*recipe.items(), *options.items()], key=str))
+def describe_changes(
+    recipe: Mapping[str, Any],
+    options: Mapping[str, Any],
+    origin: Mapping[str, Any] | None = None,
+) -> str:
+    """What was changed about a model, its recipe or its start, as a row has it in brackets."""
+    changed = [*recipe.items(), *options.items()]
+    if origin is not None:
+        changed.append(("start", origin["name"]))
+    return " ".join(f"{k}={v}" for k, v in sorted(changed, key=str))

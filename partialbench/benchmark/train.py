@@ -27,7 +27,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from partialbench.benchmark import audit, checkpoint, duplicates, environment, evaluate, models
+from partialbench.benchmark import (
+    audit,
+    checkpoint,
+    duplicates,
+    environment,
+    evaluate,
+    finetune,
+    models,
+)
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import BatchStream, Clouds, Place
 from partialbench.benchmark.prediction import Batch, Prediction
@@ -57,6 +65,7 @@ class Task:
         model: registered name or "module:factory"; ``options`` go to its factory.
         train_rows, validation_rows: row numbers of ``dataset``.
         variant: see ``results.Result``.
+        start: weights to begin from; random ones without it. The variant names them.
     """
 
     model: str
@@ -68,6 +77,7 @@ class Task:
     seed: int
     options: dict[str, Any] = field(default_factory=dict)
     variant: str = ""
+    start: finetune.Start | None = None
 
     def identity(self) -> dict[str, Any]:
         """What makes it this training and no other: plain data, stored in every checkpoint."""
@@ -93,7 +103,8 @@ class Trained:
         history: one row an epoch, as in log.csv.
         summary: epochs, steps, clouds seen, seconds (wall time of all its parts, interruptions not
             counted), median clouds per second, the last epoch's loss and validation accuracy and
-            the curves of both, peak memory, and the environment it ran in.
+            the curves of both, peak memory, the environment it ran in, and where it did not begin
+            from random weights, its ``start``.
     """
 
     model: nn.Module
@@ -160,11 +171,16 @@ def train(
     """
     folder.mkdir(parents=True, exist_ok=True)
     path, identity = folder / "checkpoint.pt", task.identity()
-    num_classes = len(task.dataset.class_names)
+    class_names = list(task.dataset.class_names)
+    num_classes = len(class_names)
 
     # The model, its optimiser and schedule, and the batches: all from the seed and the recipe.
     torch.manual_seed(step_seed(task.seed, "init"))
     bare = models.create(task.model, num_classes, task.options)
+    if task.start is not None:
+        fresh = finetune.begin(bare, task.start, class_names)
+        log.info("begun from %s%s", task.start.origin["name"],
+                 f"; of other classes, so new: {', '.join(fresh)}" if fresh else "")  # fmt: skip
     wrapped = WithLoss(
         bare, recipes.label_smoothing(task.recipe, num_classes), num_classes, fabric.world_size
     )
@@ -181,6 +197,8 @@ def train(
     total_steps = epochs * len(stream)
     log.info(task.protocol.describe_epochs(task.recipe, len(task.train_rows)))
     train_sources = duplicates.source_keys(task.dataset.source_digests)
+    if task.start is not None:
+        train_sources = sorted({*train_sources, *task.start.train_sources})
 
     # Where it stands: the next batch to take, and the running sums of the epoch under way.
     epoch, batch_index, loss_sum, seconds = 0, 0, 0.0, 0.0
@@ -213,6 +231,7 @@ def train(
             "environment": environment.describe(
                 fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
             ),
+            **({"start": task.start.origin} if task.start is not None else {}),
         }
 
     def save() -> None:

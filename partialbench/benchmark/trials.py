@@ -18,7 +18,8 @@ class Trial:
     """One training and what came of it on the validation split.
 
     Attributes:
-        model, options: as the record of the row has them; ``options`` as "k=v …".
+        model, options: as the record of the row has them; ``options`` as "k=v …", a start among
+            them.
         recipe: what the trial changed about the model's recipe under the protocol, "" for nothing.
         data, protocol: digests. clouds_seen: repeats counted.
         validation_accuracy: share of validation clouds, after the last epoch.

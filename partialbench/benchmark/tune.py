@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from partialbench.benchmark import models
+from partialbench.benchmark import finetune, models
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.memory import keep_freed_memory
@@ -33,6 +33,7 @@ def tune(
     device: str = "auto",
     results_folder: Path | str = "results",
     *,
+    start_from: Path | str | None = None,
     precision: str = "32-true",
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -42,7 +43,8 @@ def tune(
     Interrupted, the same call continues; a finished trial is not repeated.
 
     Args:
-        model, data, preset, device, precision, options, protocol: as ``run_eval`` takes them.
+        model, data, preset, device, start_from, precision, options, protocol: as ``run_eval`` takes
+            them.
         tries: fields of the recipe to change, one mapping a trial; {} is the recipe as it is.
         seed: of every trial.
 
@@ -67,17 +69,21 @@ def tune(
     # All are checked before the first is trained.
     used = [recipes.override(own, changes) for changes in tries]
     chosen = dict(options or {})
+    start = None if start_from is None else finetune.load(start_from, model)
+    origin = None if start is None else start.origin
     trials = []
     for changes, recipe in zip(tries, used, strict=True):
         task = make_task(
-            model, train_set, followed, recipe, seed, chosen, describe_changes(changes, chosen)
-        )
+            model, train_set, followed, recipe, seed, chosen,
+            describe_changes(changes, chosen, origin), start,
+        )  # fmt: skip
         folder, tried = results_folder / "runs" / run_folder(task), describe_changes(changes, {})
         log.info("trying %s in %s", tried or "the recipe as it is", folder)
         summary = train(task, fabric, folder, resume=True).summary
         trial = Trial(
-            model, describe_changes({}, chosen), tried, seed, train_set.digest, followed.digest,
-            summary["clouds_seen"], summary["train_loss"], summary["validation_accuracy"],
+            model, describe_changes({}, chosen, origin), tried, seed, train_set.digest,
+            followed.digest, summary["clouds_seen"], summary["train_loss"],
+            summary["validation_accuracy"],
         )  # fmt: skip
         trials.append(trial)
         if fabric.is_global_zero:

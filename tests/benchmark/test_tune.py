@@ -8,8 +8,10 @@ import shutil
 from dataclasses import asdict
 
 import pytest
+import torch
 from typer.testing import CliRunner
 
+from partialbench.benchmark import checkpoint
 from partialbench.benchmark.trials import FILE, read_trials
 from partialbench.benchmark.tune import tune
 from partialbench.cli import app
@@ -117,3 +119,18 @@ def test_a_file_that_is_none_is_named(tmp_path):
     (tmp_path / FILE).write_text("model,options\nx,y\n")
     with pytest.raises(InputError, match=r"tuning.csv is not a file of trials"):
         read_trials(tmp_path / FILE)
+
+
+def test_trials_may_begin_from_weights(done, data, tmp_path):
+    """A rate of next to nothing then keeps them."""
+    start = next(path for path in done[1].glob("runs/*/checkpoint.pt") if "batch" in str(path))
+    (trial,) = tune(
+        MODEL, data, [{"lr": 1e-7}], "mini", device="cpu", results_folder=tmp_path,
+        start_from=start, protocol=SHORT,
+    )  # fmt: skip
+    assert trial.options.startswith("start=toy:")
+    assert trial.recipe == "lr=1e-07"
+    before = checkpoint.load(start)["state"]
+    after = checkpoint.load(next(tmp_path.glob("runs/*/checkpoint.pt")))["state"]
+    for name in (name for name in before if name.endswith(("weight", "bias"))):
+        torch.testing.assert_close(after[name], before[name], atol=1e-5, rtol=0)
