@@ -61,7 +61,7 @@ class _NeighbourMax(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, a: Tensor, index: Tensor) -> Tensor:
         top = a.new_zeros(len(index), a.shape[1])
-        for part in chunks(len(index), index.shape[1] * a.shape[1]):
+        for part in chunks(len(index), index.shape[1] * a.shape[1], a.device):
             edges = a.index_select(0, index[part].flatten())
             torch.amax(edges.view(-1, index.shape[1], a.shape[1]), dim=1, out=top[part])
         ctx.save_for_backward(a, index, top)
@@ -72,7 +72,7 @@ class _NeighbourMax(torch.autograd.Function):
     def backward(ctx: Any, d_top: Tensor) -> tuple[Tensor, None]:
         a, index, top = ctx.saved_tensors
         d_a = torch.zeros_like(a)
-        for part in chunks(len(index), index.shape[1] * a.shape[1]):
+        for part in chunks(len(index), index.shape[1] * a.shape[1], a.device):
             flat = index[part].flatten()
             edges = a.index_select(0, flat).view(-1, index.shape[1], a.shape[1])
             hit = (edges == top[part, None]).to(a.dtype)
@@ -87,7 +87,7 @@ class _EdgeReLU(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, a: Tensor, c: Tensor, point: Tensor, centre: Tensor) -> Tensor:
         edges = a.index_select(0, point)
-        for part in chunks(len(edges), edges.shape[1]):
+        for part in chunks(len(edges), edges.shape[1], edges.device):
             edges[part].add_(c.index_select(0, centre[part])).relu_()
         ctx.save_for_backward(edges, point, centre)
         ctx.rows = len(a), len(c)

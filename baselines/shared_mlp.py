@@ -26,12 +26,14 @@ from torch.autograd.function import once_differentiable
 
 from baselines.balls import Balls
 
-CHUNK = 1 << 20
-"""Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache."""
+CHUNK, DEVICE_CHUNK = 1 << 20, 1 << 26
+"""Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache, and on
+other devices 256 MB, so that there are few launches and little memory still."""
 
 
-def chunks(rows: int, values_per_row: int) -> list[slice]:
-    step = max(1, CHUNK // values_per_row)
+def chunks(rows: int, values_per_row: int, device: torch.device) -> list[slice]:
+    values = CHUNK if device.type == "cpu" else DEVICE_CHUNK
+    step = max(1, values // values_per_row)
     return [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
 
 
@@ -55,7 +57,7 @@ class _Moments(torch.autograd.Function):
         rows, channels = x.shape
         mean = x.mean(dim=0) if w is None else (w @ x) / count
         covariance = x.new_zeros(channels, channels)
-        for part in chunks(rows, channels):
+        for part in chunks(rows, channels, x.device):
             centred = x[part] - mean
             weighted = centred if w is None else centred * w[part, None]
             covariance.addmm_(weighted.T, centred)
@@ -86,7 +88,7 @@ class _LinearMax(torch.autograd.Function):
         needs_index = any(ctx.needs_input_grad)
         top = x.new_zeros(groups, len(weight))
         index = torch.zeros(groups, len(weight), dtype=torch.int32, device=x.device)
-        for part in chunks(groups, size * len(weight)):
+        for part in chunks(groups, size * len(weight), x.device):
             y = F.linear(x[part], weight, bias)
             maximum(y, top[part], index[part] if needs_index else None)
         ctx.save_for_backward(x, weight, index)
@@ -100,7 +102,7 @@ class _LinearMax(torch.autograd.Function):
         rows = x.flatten(0, 1)
         d_rows, d_weight = torch.zeros_like(rows), torch.zeros_like(weight)
         first = torch.arange(0, groups * size, size, device=x.device)[:, None]
-        for part in chunks(groups, weight.numel()):
+        for part in chunks(groups, weight.numel(), x.device):
             flat = (index[part] + first[part]).flatten()
             share = d_top[part, :, None]
             chosen = rows.index_select(0, flat).view(-1, *weight.shape)

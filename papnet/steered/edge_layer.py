@@ -83,7 +83,7 @@ class _EdgeMax(torch.autograd.Function):
         needs_index = any(ctx.needs_input_grad)
         top = a.new_zeros(points, len(weight))
         chosen = torch.zeros(points, len(weight), dtype=torch.int32, device=a.device)
-        for part in chunks(points, k * len(weight)):
+        for part in chunks(points, k * len(weight), e.device):
             y = a.index_select(0, index[part].flatten()).view(-1, k, len(weight))
             y.flatten(0, 1).addmm_(e[part].flatten(0, 1), weight.T)
             y.sub_(penalty[part, :, None])
@@ -99,7 +99,7 @@ class _EdgeMax(torch.autograd.Function):
         chosen = chosen.long()
         d_a = torch.zeros_like(d_top).scatter_add_(0, index.gather(1, chosen), d_top)
         d_weight = torch.zeros_like(weight)
-        for part in chunks(points, k * outputs):
+        for part in chunks(points, k * outputs, e.device):
             d_y = d_top.new_zeros(len(d_top[part]), k, outputs)
             d_y.scatter_(1, chosen[part, None], d_top[part, None])
             d_weight.addmm_(d_y.flatten(0, 1).T, e[part].flatten(0, 1))

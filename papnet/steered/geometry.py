@@ -96,11 +96,10 @@ def geometry(points: Tensor, k: int, lmax: int) -> Geometry:
         k: nearest neighbours that become edges.
     """
     with torch.autocast(points.device.type, enabled=False):
-        # A few clouds at a time stay in a processor's cache.
-        few = chunks(len(points), points.shape[1] * WIDE_MOST * (lmax + 1) ** 2)
+        # A few clouds at a time.
+        values = points.shape[1] * WIDE_MOST * (lmax + 1) ** 2
         parts = [
-            _geometry(points[part], k, lmax)
-            for part in (few if points.device.type == "cpu" else [slice(None)])
+            _geometry(points[part], k, lmax) for part in chunks(len(points), values, points.device)
         ]
         return Geometry(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
 

@@ -43,7 +43,10 @@ class Clouds(Interface):
     def __len__(self) -> int: ...
 
     def points(
-        self, indices: NDArray | list[int], rng: np.random.Generator | None = None
+        self,
+        indices: NDArray | list[int],
+        rng: np.random.Generator | None = None,
+        distinct: bool = False,
     ) -> NDArray[np.float32]: ...
 
 
@@ -114,7 +117,7 @@ class BatchStream:
         """This process's share of one batch, on the CPU."""
         chosen = order[place.batch * self.batch_size : (place.batch + 1) * self.batch_size]
         rng = generator(self.seed, "augment", place.epoch, place.batch)
-        points = self.dataset.points(chosen, rng)
+        points = self.dataset.points(chosen, rng, distinct=self.protocol.subset == "distinct")
         rotation = self.dataset.rotations[chosen]
         if self.turns:
             turn = haar_rotations(rng, len(chosen))

@@ -44,10 +44,13 @@ def describe(
 
 
 def git_commit() -> str | None:
-    """The commit this package's source tree is at, with "+changes" where files differ from it."""
+    """The commit this package's source tree is at, with "+changes" where files differ from it.
+
+    For a copy without its repository, as in a container, the variable PARTIALBENCH_COMMIT says it.
+    """
     root = Path(partialbench.__file__).resolve().parents[1]
     if not (root / ".git").exists():
-        return None
+        return os.environ.get("PARTIALBENCH_COMMIT")
     try:
         commit = _git(root, "rev-parse", "HEAD")
         changed = _git(root, "status", "--porcelain", "--untracked-files=no")

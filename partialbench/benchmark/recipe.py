@@ -88,9 +88,12 @@ def deviations(published: Recipe, used: Recipe, protocol: Protocol, train_clouds
     if used.batch_size > train_clouds:
         changes.append(f"batches of {train_clouds} clouds, all there are, not {used.batch_size}")
     turn = "random rotation" if protocol.rotation == "so3" else "no rotation"
+    jitter = (
+        f"jitter {protocol.jitter_sigma:g} clipped at {protocol.jitter_clip:g}"
+        if protocol.jitter_sigma else "no jitter"
+    )  # fmt: skip
     changes.append(
-        f"the protocol's augmentation instead of the published one: {turn}, jitter "
-        f"{protocol.jitter_sigma:g} clipped at {protocol.jitter_clip:g}, a random "
-        f"{protocol.num_points} of the stored points"
+        f"the protocol's augmentation instead of the published one: {turn}, {jitter}, a random "
+        f"{protocol.num_points} of the {protocol.subset} points"
     )
     return changes

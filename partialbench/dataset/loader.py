@@ -94,13 +94,21 @@ class ShardDataset:
         return {**self.__dict__, "_maps": [None] * len(self._layout)}
 
     def points(
-        self, indices: NDArray | list[int], rng: np.random.Generator | None = None
+        self,
+        indices: NDArray | list[int],
+        rng: np.random.Generator | None = None,
+        distinct: bool = False,
     ) -> NDArray[np.float32]:
         """Clouds of the rows ``indices``: (B,num_points,3) float32, camera frame.
 
         Rows hold their points in random order, so the first ``num_points`` are a fair subset: that
         is what is returned without ``rng``. With it, each cloud starts at a random place of the
         stored (circular) order: another subset every time at the cost of one copy.
+
+        A row of fewer distinct points than are stored has them first, then repeats drawn at random.
+        The first ``num_points`` thus have as many distinct ones as there can be, a random place
+        has fewer. ``distinct`` makes the circle of the distinct points alone, so that random clouds
+        have repeats only where, and as many as, the first ``num_points`` have.
         """
         indices = np.asarray(indices, np.int64)
         if indices.size and not (indices.min() >= 0 and indices.max() < len(self)):
@@ -108,14 +116,19 @@ class ShardDataset:
                              f"{indices.max()}")  # fmt: skip
         clouds = np.zeros((len(indices), self.num_points, 3), np.float32)
         shard_of = np.searchsorted(self._first_row, indices, side="right") - 1
+        circles = np.full(len(indices), self._stored_points)
+        if distinct:
+            circles = self.n_visible[indices].clip(self.num_points, self._stored_points)
         starts = (
             np.zeros(len(indices), np.int64)
             if rng is None or self.num_points == self._stored_points
-            else rng.integers(0, self._stored_points, len(indices))
+            else rng.integers(0, circles)
         )
-        for out, index, shard, start in zip(clouds, indices, shard_of, starts, strict=True):
+        for out, index, shard, start, circle in zip(
+            clouds, indices, shard_of, starts, circles, strict=True
+        ):
             row = self._map(int(shard))[index - self._first_row[shard]]
-            head = min(self.num_points, self._stored_points - start)
+            head = min(self.num_points, circle - start)
             out[:head] = row[start : start + head]
             out[head:] = row[: self.num_points - head]
         return clouds

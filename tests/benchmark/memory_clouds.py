@@ -58,7 +58,7 @@ class MemoryClouds:
     def __len__(self):
         return len(self.labels)
 
-    def points(self, indices, rng=None):
+    def points(self, indices, rng=None, distinct=False):
         indices = np.asarray(indices)
         if rng is None:
             return self.clouds[indices, : self.num_points].copy()

@@ -23,11 +23,20 @@ def test_the_digest_follows_what_is_done_and_not_its_name():
     assert mini.digest == dataclasses.replace(mini, preset="other").digest
     seen = {mini.digest}
     changes = {"num_points": 7, "epochs": 3, "jitter_sigma": 0.5, "version": 99, "split_seed": 1,
-               "rotation": "none", "max_test_clouds": 5}  # fmt: skip
+               "rotation": "none", "max_test_clouds": 5, "subset": "distinct"}  # fmt: skip
     for name, value in changes.items():
         seen.add(dataclasses.replace(mini, **{name: value}).digest)
-    assert len(seen) == 8
+    assert len(seen) == 9
     assert len({p.digest for p in PRESETS.values()}) == len(PRESETS)
+
+
+def test_the_columns_of_earlier_records_stand():
+    """Their protocols had no ``subset``."""
+    assert PRESETS["mini"].digest.startswith("dbe3b0a6eb92")
+    assert PRESETS["small"].digest.startswith("8894e12d8331")
+    fields = PRESETS["mini"].as_dict()
+    del fields["subset"]
+    assert from_dict(fields) == PRESETS["mini"]
 
 
 def test_an_override_is_another_protocol_and_one_that_changes_nothing_is_not():
@@ -46,6 +55,10 @@ def test_an_override_is_another_protocol_and_one_that_changes_nothing_is_not():
         (lambda: protocol("smoke", epochs=0), "epochs must be a positive whole number, got 0"),
         (lambda: protocol("smoke", rotation="z"), "rotation must be 'so3' or 'none', got 'z'"),
         (lambda: protocol("smoke", validation_fraction=1.0), "validation_fraction"),
+        (
+            lambda: protocol("smoke", subset="all"),
+            "subset must be 'stored' or 'distinct', got 'all",
+        ),
         (lambda: from_dict({"preset": "x"}), "missing"),
     ],
 )

@@ -55,6 +55,26 @@ def test_random_subsets_come_from_the_row_without_repeats(folder):
     assert not np.array_equal(drawn, again)
 
 
+def test_subsets_of_the_distinct_points_repeat_none_before_all_are_taken(folder):
+    """Rows of 64 with 50, 64 or 30 distinct points, which are the first, as ``render`` has them."""
+    data = ShardDataset(folder, "train", num_points=40)
+    data.n_visible = np.array([50, 500, 30] * 6, np.int32)
+    whole = stored(folder, "points")
+    places = set()
+    for seed in range(20):
+        drawn = data.points(np.arange(18), np.random.default_rng(seed), distinct=True)
+        for cloud, row, visible in zip(drawn, whole, data.n_visible, strict=True):
+            taken = [next(i for i, p in enumerate(row) if (p == q).all()) for q in cloud]
+            assert len(set(taken)) == 40
+            assert max(taken) < max(visible, 40)
+            places.add((int(visible), taken[0]))
+    starts = {v: {first for visible, first in places if visible == v} for v in (50, 500)}
+    assert max(starts[50]) > 40
+    assert max(starts[500]) > 50
+    first = data.points([0, 1, 2], distinct=True)
+    assert np.array_equal(first, whole[:3, :40])
+
+
 def test_errors_say_what_to_do(folder, tmp_path):
     with pytest.raises(InputError, match=r"stores 64 points a cloud, 99 were asked for"):
         ShardDataset(folder, "train", num_points=99)

@@ -51,7 +51,7 @@ def test_training_is_that_of_the_plain_layer(
     inputs: tuple[Tensor, ...], negative: bool, step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("baselines.shared_mlp.CHUNK", step)
-    parts = len(edge_layer.chunks(CLOUDS * POINTS, NEIGHBOURS * OUTPUTS))
+    parts = len(edge_layer.chunks(CLOUDS * POINTS, NEIGHBOURS * OUTPUTS, torch.device("cpu")))
     assert edge_layer.chunks is chunks
     assert (parts > 1) == (step < 1 << 20)
     x, index, features, penalty = inputs
