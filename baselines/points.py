@@ -74,8 +74,16 @@ def distances(a: Tensor, b: Tensor) -> Tensor:
     Coordinates (C ≤ 4) are subtracted, which keeps all digits between near points; features go
     through a matrix product, |a|² + |b|² − 2a·b, which is faster and good to about 1e-3·|a|.
     """
-    mode = "donot_use_mm_for_euclid_dist" if a.shape[-1] <= 4 else "use_mm_for_euclid_dist"
-    return torch.cdist(full_precision(a), full_precision(b), compute_mode=mode)
+    a, b = full_precision(a), full_precision(b)
+    if a.shape[-1] > 4:
+        return torch.cdist(a, b, compute_mode="use_mm_for_euclid_dist")
+    if a.device.type == "cpu":
+        return torch.cdist(a, b, compute_mode="donot_use_mm_for_euclid_dist")
+    # On other devices cdist takes a block of threads for each pair.
+    square = a.new_zeros(a.shape[0], a.shape[1], b.shape[1])
+    for axis in range(a.shape[-1]):
+        square += (a[..., axis, None] - b[:, None, :, axis]).square_()
+    return square.sqrt_()
 
 
 @_geometry
