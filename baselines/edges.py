@@ -34,8 +34,8 @@ class _EdgeMoments(torch.autograd.Function):
         a_mean, c_mean = a.mean(dim=0), c.mean(dim=0)
         a, c = a - a_mean, c - c_mean
         # Not bincount, which waits for the device to tell the largest index.
-        ones = torch.ones(1, dtype=a.dtype, device=a.device).expand(edges)
-        degree = torch.zeros_like(a[:, 0]).scatter_add_(0, index.flatten(), ones)[:, None]
+        ones = a.new_ones(1).expand(edges)
+        degree = a.new_zeros(len(a)).scatter_add_(0, index.flatten(), ones)[:, None]
         neighbours = F.embedding_bag(index, a, mode="sum")
         mean = (degree * a).sum(dim=0) / edges
         square = (degree * a * a).sum(dim=0) + (c * (2 * neighbours + n * c)).sum(dim=0)

@@ -96,7 +96,7 @@ def geometry(points: Tensor, k: int, lmax: int) -> Geometry:
         k: nearest neighbours that become edges.
     """
     with torch.autocast(points.device.type, enabled=False):
-        # A few clouds at a time.
+        # A few clouds at a time: the wide neighbourhoods of all would leave a processor's cache.
         values = points.shape[1] * WIDE_MOST * (lmax + 1) ** 2
         parts = [
             _geometry(points[part], k, lmax) for part in chunks(len(points), values, points.device)

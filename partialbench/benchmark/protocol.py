@@ -26,6 +26,10 @@ from partialbench.registry import Recipe, close_matches
 
 PROTOCOL_VERSION = 2
 
+_ADDED = {"subset": "stored"}
+"""Fields that the first protocols of this version did not have, with what those did: at that value
+a field does not enter the digest, so that their columns stand."""
+
 
 @dataclass(frozen=True)
 class Protocol:
@@ -92,9 +96,7 @@ class Protocol:
     @property
     def digest(self) -> str:
         """SHA-256 (hex) of every field but the preset's name: what is done, not its name."""
-        fields = self.as_dict()
-        if self.subset == "stored":  # as it was before there was a choice: those columns stand
-            del fields["subset"]
+        fields = dict(item for item in self.as_dict().items() if item not in _ADDED.items())
         del fields["preset"]
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
@@ -175,7 +177,7 @@ def protocol(preset: str, /, **overrides: Any) -> Protocol:
 def from_dict(fields: dict[str, Any]) -> Protocol:
     """The protocol that ``as_dict`` wrote."""
     known = {f.name for f in dataclasses.fields(Protocol)}
-    fields = {"subset": "stored"} | fields
+    fields = _ADDED | fields
     if set(fields) != known:
         raise InputError(
             f"not a protocol of version {PROTOCOL_VERSION}: "

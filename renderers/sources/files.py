@@ -105,8 +105,8 @@ class Archive:
             return self._zip().read(name)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
             raise InputError(f"{self.path}: the member {name} is broken ({error})") from error
-        except (RuntimeError, NotImplementedError) as error:
-            # An encrypted member, or a compression that this Python lacks.
+        except RuntimeError as error:
+            # An encrypted member, or (NotImplementedError) a compression that this Python lacks.
             raise InputError(f"{self.path}: the member {name} cannot be read ({error})") from error
 
     def _zip(self) -> zipfile.ZipFile:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -42,6 +44,20 @@ def test_epochs_and_seeds_differ_in_order_and_augmentation(clouds):
     assert not equal(first[0], next(stream(clouds, seed=1).epoch(0))[1])
     assert not torch.equal(first[0].rotation, first[1].rotation)
     assert sorted(stream(clouds).order(0)) == sorted(stream(clouds).order(1))
+
+
+@pytest.mark.parametrize("subset", ["stored", "distinct"])
+def test_the_protocol_says_of_which_points_a_cloud_is_a_subset(clouds, monkeypatch, subset):
+    asked, points = [], clouds.points
+
+    def spy(indices, rng=None, distinct=False):
+        asked.append(distinct)
+        return points(indices, rng)
+
+    monkeypatch.setattr(clouds, "points", spy)
+    next(stream(clouds, dataclasses.replace(PROTOCOL, subset=subset)).epoch(0))
+    assert asked
+    assert set(asked) == {subset == "distinct"}
 
 
 def test_points_and_labels_turn_together(clouds):
