@@ -103,8 +103,9 @@ class Trained:
         history: one row an epoch, as in log.csv.
         summary: epochs, steps, clouds seen, seconds (wall time of all its parts, interruptions not
             counted), median clouds per second, the last epoch's loss and validation accuracy and
-            the curves of both, peak memory, the environment it ran in, and where it did not begin
-            from random weights, its ``start``.
+            the curves of both, peak memory, the environment it ended in and, where parts before an
+            interruption ran in others, ``earlier_environments``, and where it did not begin from
+            random weights, its ``start``.
     """
 
     model: nn.Module
@@ -203,12 +204,19 @@ def train(
     # Where it stands: the next batch to take, and the running sums of the epoch under way.
     epoch, batch_index, loss_sum, seconds = 0, 0, 0.0, 0.0
     history: list[dict[str, Any]] = []
+    here = environment.describe(
+        fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
+    )
+    environments = [here]
     if resume and path.is_file():
         saved = checkpoint.load(path)
         _require_same_training(saved, identity, path)
         bare.load_state_dict(saved["state"])
         epoch, batch_index, loss_sum = saved["epoch"], saved["batch"], saved["loss_sum"]
         history, seconds = saved["history"], saved["seconds"]
+        # Checkpoints have not always said it.
+        earlier = [e for e in saved.get("environments", []) if e != here]
+        environments = [*earlier, here]
         if "summary" in saved:
             return Trained(bare.eval(), history, saved["summary"])
         optimizer.load_state_dict(saved["optimizer"])
@@ -228,9 +236,8 @@ def train(
                 for name in ("train_loss", "validation_accuracy")
             },
             "peak_memory_bytes": audit.peak_memory_bytes(fabric.device),
-            "environment": environment.describe(
-                fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
-            ),
+            "environment": here,
+            **({"earlier_environments": environments[:-1]} if len(environments) > 1 else {}),
             **({"start": task.start.origin} if task.start is not None else {}),
         }
 
@@ -241,6 +248,7 @@ def train(
             "state": {name: tensor.detach().cpu() for name, tensor in bare.state_dict().items()},
             "epoch": epoch, "batch": batch_index, "loss_sum": loss_sum, "history": history,
             "seconds": seconds + time.perf_counter() - started, "train_sources": train_sources,
+            "environments": environments,
         }  # fmt: skip
         if epoch < epochs:
             state |= {"optimizer": optimizer.state_dict(), "schedule": schedule.state_dict()}

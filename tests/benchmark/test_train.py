@@ -16,7 +16,7 @@ import pytest
 import torch
 from lightning.fabric import Fabric
 
-from partialbench.benchmark import checkpoint
+from partialbench.benchmark import checkpoint, environment
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol import Protocol
 from partialbench.benchmark.run import make_task
@@ -104,6 +104,26 @@ def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, monkeypatc
         assert a["train_loss"] == pytest.approx(b["train_loss"], rel=1e-12)
         assert a["validation_accuracy"] == b["validation_accuracy"]
         assert a["lr"] == b["lr"]
+
+
+def test_a_training_names_every_machine_that_carried_a_part_of_it(tmp_path, monkeypatch):
+    asked = {"model": "Interrupted", "protocol": TWELVE, "recipe": RESTLESS}
+    monkeypatch.setattr(Interrupted, "taken", 0)
+    parts = ("one", 15), ("other", 45), ("one", None)
+    for machine, stop_at in parts:
+        monkeypatch.setattr(environment, "describe", lambda *_, name=machine: {"device": name})
+        monkeypatch.setattr(Interrupted, "stop_at", stop_at)
+        if stop_at is None:
+            summary = run(tmp_path, resume=True, **asked).summary
+        else:
+            with pytest.raises(KeyboardInterrupt):
+                run(tmp_path, resume=True, **asked)
+    assert summary["environment"] == {"device": "one"}
+    assert summary["earlier_environments"] == [{"device": "other"}]
+
+
+def test_a_training_of_one_piece_names_one_machine(tmp_path):
+    assert "earlier_environments" not in run(tmp_path).summary
 
 
 def test_resuming_a_finished_training_trains_nothing(tmp_path):
