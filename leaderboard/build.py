@@ -12,6 +12,7 @@ from leaderboard.check import problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
 from leaderboard.poses import pose_layouts
+from leaderboard.settings import setting_layouts
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark import results
 from partialbench.dataset.shards import write_atomically
@@ -70,6 +71,7 @@ def build_leaderboard(
     galleries = [gallery.disagreements(column, folder, test_sets) for column in board]
     laid_out = [
         *layouts(board, comparisons),
+        *setting_layouts(board, folder),
         *pose_layouts(board, folder),
         *rank_agreement(board),
         *map(curves.as_layout, families),

@@ -16,6 +16,7 @@ from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison, counted
 from leaderboard.curves import Family
 from leaderboard.layouts import noise_title
+from leaderboard.settings import setting_families, shared_rows
 from leaderboard.words import paper_score, row_title
 from partialbench.benchmark import results
 from partialbench.benchmark.metrics import (
@@ -33,7 +34,6 @@ _STYLE: dict[Any, Any] = {
 K_TICKS = (1, 5, 10, 15, 20)
 FEW_CLOUDS = 10
 """A share of fewer clouds says little, and is not drawn."""
-SETTINGS = ("aligned", "rotated", "partial")
 
 
 def draw_all(
@@ -128,22 +128,15 @@ def _accuracy(column: Column, comparison: Comparison) -> Figure:
 
 
 def _by_setting(board: list[Column]) -> Figure | None:
-    """Bars for each model over the settings of one data set, where there are two or more."""
-    families: dict[tuple[str, str], dict[str, Column]] = {}
-    for column in board:
-        train_id, setting, _, test_id, test_setting, _, protocol = column.key
-        if train_id == test_id and setting == test_setting:
-            families.setdefault((train_id, protocol), {})[setting] = column
-    found = [family for family in families.values() if len(family) > 1]
+    """Bars for each model that one data set was run with in every one of its settings."""
+    found = setting_families(board)
     if not found:
         return None
     columns = max(found, key=len)
-    shown = [s for s in SETTINGS if s in columns]
-    names = sorted({name for s in shown for name in columns[s].cells})
+    names = shared_rows(columns)
     figure, axes = _new(1.5 + 0.7 * len(names))
-    for i, setting in enumerate(shown):
-        cells = columns[setting].cells
-        heights = [100 * cells[name].mean() if name in cells else 0.0 for name in names]
+    for i, (setting, column) in enumerate(columns.items()):
+        heights = [100 * column.cells[name].mean() for name in names]
         axes.bar(np.arange(len(names)) + 0.27 * i, heights, 0.25, label=setting)
     axes.set_xticks(np.arange(len(names)) + 0.27, names, rotation=30, ha="right")
     axes.set_ylabel("accuracy (%)")

@@ -9,6 +9,7 @@ from leaderboard.words import (
     describe,
     duplicates,
     interval,
+    model_input,
     percent,
     reported,
     reported_name,
@@ -55,7 +56,7 @@ def _column(column: Column, comparison: Comparison) -> str:
         rows.append(
             [
                 row_title(result),
-                result.card["representation"] or "–",
+                model_input(result),
                 percent(cell.mean(), cell.std()),
                 interval(*comparison.intervals[name]),
                 " ".join(map(str, comparison.groups[name])),

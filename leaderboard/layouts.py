@@ -12,7 +12,14 @@ from typing import NamedTuple
 
 from leaderboard.board import Column, protocol_title, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.words import interval, percent, reported, reported_name, row_title
+from leaderboard.words import (
+    interval,
+    model_input,
+    percent,
+    reported,
+    reported_name,
+    row_title,
+)
 from partialbench.benchmark.results import Result
 
 MODEL = "papnet"
@@ -108,7 +115,7 @@ def _evaluations(board: list[Column]) -> list[Layout]:
         for name in names:
             here = [column.cells.get(name) for column in columns]
             first = next(cell for cell in here if cell is not None).results[0]
-            row = [row_title(first), first.card["representation"] or "–"]
+            row = [row_title(first), model_input(first)]
             for column, cell in zip(columns, here, strict=True):
                 ours = "–" if cell is None else percent(cell.mean(), cell.std())
                 row += [ours, reported(column, first)]

@@ -18,6 +18,7 @@ from leaderboard.words import (
     duplicates,
     engineering,
     interval,
+    model_input,
     paper_score,
     percent,
     reported,
@@ -55,7 +56,7 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
             cell, result = column.cells[name], column.cells[name].results[0]
             line = [
                 row_title(result),
-                result.card["representation"] or "–",
+                model_input(result),
                 percent(cell.mean(), cell.std()),
                 interval(*comparison.intervals[name]),
                 " ".join(map(str, comparison.groups[name])),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 from leaderboard.board import Cell, Column, protocol_title
 from partialbench.benchmark.results import Result, clouds_before
@@ -12,6 +13,18 @@ def row_title(result: Result) -> str:
     """As printed: the card's title and the variant."""
     title = result.card["title"]
     return f"{title} [{result.variant}]" if result.variant else title
+
+
+def model_input(result: Result) -> str:
+    """What the network saw in this run: the card's "pc (1024×3)" with the run's own sizes.
+
+    Cards give the published sizes; the protocol sets the number of points, and the options ``grid``
+    and ``image`` the edge of a volume or of depth images.
+    """
+    text = result.card["representation"] or "–"
+    text = text.replace("1024", str(result.protocol["num_points"]))
+    edge = result.options.get("grid", result.options.get("image"))
+    return text if edge is None else re.sub(r"\d+(?=[²³])", str(edge), text)
 
 
 def reported_name(column: Column) -> str:

@@ -18,7 +18,7 @@ from leaderboard.build import build_leaderboard
 from leaderboard.check import problems
 from leaderboard.comparison import compare
 from leaderboard.latex import escape
-from leaderboard.words import engineering
+from leaderboard.words import engineering, model_input
 from partialbench.benchmark import results
 from partialbench.benchmark.protocol import protocol
 from partialbench.errors import InputError
@@ -238,6 +238,24 @@ def test_numbers_read_well():
     assert [engineering(n) for n in (12, 1_234, 3_480_049, 7_100_000_000)] == [
         "12", "1.2 k", "3.5 M", "7.1 G",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("card", "options", "seen"),
+    [
+        ("pc (1024×3)", {}, "pc (256×3)"),
+        ("voxel (1×64³)", {"grid": 16}, "voxel (1×16³)"),
+        ("voxel (1×64³)", {"k": 5}, "voxel (1×64³)"),
+        ("views (6×128²)", {"image": 64}, "views (6×64²)"),
+        ("", {"grid": 16}, "–"),
+    ],
+)
+def test_the_input_is_what_this_run_saw(card, options, seen):
+    """A row on a 16³ grid of 256 points does not claim the published sizes."""
+    run = record("a", predictions(0.9, 0), options=options)
+    assert run.protocol["num_points"] == 256
+    run.card["representation"] = card
+    assert model_input(run) == seen
 
 
 def test_the_run_name_is_a_file_name_and_depends_on_what_the_run_is():
