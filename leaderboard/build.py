@@ -75,7 +75,7 @@ def build_leaderboard(
         *pose_layouts(board, folder),
         *rank_agreement(board),
         *map(curves.as_layout, families),
-        *tuning_layouts(folder, records),
+        *tuning_layouts(folder, records, board),
     ]
     contents = {
         "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),

@@ -6,6 +6,8 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
+from leaderboard.agreement import AGREEMENT, accuracies, agree, own_columns
+from leaderboard.board import Column
 from leaderboard.layouts import Layout
 from leaderboard.words import engineering, percent
 from partialbench.benchmark.results import Result
@@ -14,8 +16,11 @@ from partialbench.benchmark.trials import FILE, Trial, read_trials
 AS_IT_IS = "as it is"
 
 
-def tuning_layouts(folder: Path, records: Sequence[Result]) -> list[Layout]:
+def tuning_layouts(folder: Path, records: Sequence[Result], board: list[Column]) -> list[Layout]:
     """A table for each data set and protocol that the trials in the folder were made under.
+
+    After each stands, where there is enough to compare, whether models rank in the board's columns
+    as they do in those trials: there all had one budget, in a column they may not.
 
     Args:
         folder: of the records; its ``tuning.csv`` is read where there is one.
@@ -29,10 +34,39 @@ def tuning_layouts(folder: Path, records: Sequence[Result]) -> list[Layout]:
         groups[trial.data, trial.protocol, trial.seed].append(trial)
     titles = {record.model: record.card["title"] for record in records}
     data = {record.train_data.digest: record.train_data.id for record in records}
-    return [_layout(groups[key], titles, data) for key in sorted(groups)]
+    found = []
+    for (digest, protocol, seed), trials in sorted(groups.items()):
+        where = f"{data.get(digest, 'data')} ({digest[:12]})"
+        name = f"on {where}, protocol {protocol[:12]}, seed {seed}"
+        found.append(_layout(name, trials, titles))
+        found += _agreement(name, trials, board)
+    return found
 
 
-def _layout(trials: list[Trial], titles: dict[str, str], data: dict[str, str]) -> Layout:
+def _agreement(name: str, trials: list[Trial], board: list[Column]) -> list[Layout]:
+    best: dict[str, float] = {}
+    for trial in trials:
+        row = f"{trial.model} [{trial.options}]" if trial.options else trial.model
+        best[row] = max(best.get(row, 0.0), trial.validation_accuracy)
+    rows = []
+    for column in own_columns(board):
+        agreement = agree(best, accuracies(column))
+        if agreement:
+            rows.append([column.title, *agreement])
+    if not rows:
+        return []
+    return [
+        Layout(
+            f"Do the columns rank the models as tuning did? Tuning {name}",
+            "Rank correlation of each model's best validation accuracy in those trials, which had "
+            "one budget, with its accuracy in the column.",
+            ["column", *AGREEMENT],
+            rows,
+        )
+    ]
+
+
+def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
     recipes = sorted({trial.recipe for trial in trials})
     models: dict[str, list[Trial]] = defaultdict(list)
     for trial in trials:
@@ -53,10 +87,8 @@ def _layout(trials: list[Trial], titles: dict[str, str], data: dict[str, str]) -
             ]
         )
     rows.sort(key=lambda row: row[0])
-    first = trials[0]
     return Layout(
-        f"Tuning on {data.get(first.data, 'data')} ({first.data[:12]}), "
-        f"protocol {first.protocol[:12]}, seed {first.seed}",
+        f"Tuning {name}",
         "Accuracy (%) on the validation split after a training with each recipe, by "
         "`partialbench tune`; the test split was not opened.",
         ["model", "clouds seen", *(recipe or AS_IT_IS for recipe in recipes), "best"],

@@ -69,8 +69,9 @@ def run_eval(
         test_data: another such folder; each seed is tested on its test split as well.
         checkpoint_file: test these weights instead of training; ``seeds``, ``preset`` and recipe
             do not apply then.
-        preset: "smoke", "small", "mini" or "paper"; ``protocol`` and ``protocol_overrides`` change
-            its fields (``epochs=2``), which makes it another protocol.
+        preset: "smoke", "small", "mini", "equal" or "paper"; ``protocol`` and
+            ``protocol_overrides`` change its fields (``epochs=2``), which makes it another
+            protocol.
         seeds: how many, counted from ``first_seed``.
         start_from: checkpoint of a finished training of this model, whose weights each training
             begins from (fine-tuning); makes another row.

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark import results
@@ -22,7 +23,8 @@ def write(folder, *trials):
 
 
 def layouts(folder):
-    return tuning_layouts(folder, results.read_folder(folder))
+    records = results.read_folder(folder)
+    return tuning_layouts(folder, records, make_board(records))
 
 
 def test_without_trials_there_is_no_table(tmp_path):
@@ -53,6 +55,27 @@ def test_trials_that_cannot_be_compared_are_tables_of_their_own(tmp_path, change
     add(tmp_path, "one", 0.5)
     write(tmp_path, TRIAL, replace(TRIAL, **change))
     assert [len(table.rows) for table in layouts(tmp_path)] == [1, 1]
+
+
+def test_the_best_trial_of_each_model_is_ranked_against_the_columns(tmp_path):
+    for i, name in enumerate("abcd"):
+        add(tmp_path, name, 0.9 - 0.2 * i)
+        write(
+            tmp_path,
+            replace(TRIAL, model=name, validation_accuracy=0.01),
+            replace(TRIAL, model=name, recipe="lr=0.01", validation_accuracy=0.5 - 0.1 * i),
+        )
+    write(tmp_path, replace(TRIAL, model="never-tested", validation_accuracy=0.99))
+    _, table = layouts(tmp_path)
+    assert table.rows == [["pm40-parametric, partial, mini", "4", "+1.00", "+1.00"]]
+
+
+def test_the_options_of_a_trial_say_which_row_it_is_of(tmp_path):
+    for i, grid in enumerate((16, 24, 32, 64)):
+        add(tmp_path, "one", 0.9 - 0.2 * i, options={"grid": grid})
+        write(tmp_path, replace(TRIAL, options=f"grid={grid}", validation_accuracy=0.1 * (i + 1)))
+    _, table = layouts(tmp_path)
+    assert table.rows == [["pm40-parametric, partial, mini", "4", "-1.00", "-1.00"]]
 
 
 def test_the_board_shows_them_and_refuses_a_file_that_holds_none(tmp_path):
