@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from scipy.stats import kendalltau, spearmanr
 
-from leaderboard.board import Column
+from leaderboard.board import Column, own_columns
 from leaderboard.layouts import Layout
 
 FEWEST_ROWS = 4
@@ -38,11 +38,6 @@ def rank_agreement(board: list[Column]) -> list[Layout]:
             rows,
         )
     ]
-
-
-def own_columns(board: list[Column]) -> list[Column]:
-    """Those trained and tested on one data set, in one setting."""
-    return [c for c in board if (c.key[0], c.key[1]) == (c.key[3], c.key[4])]
 
 
 def accuracies(column: Column) -> dict[str, float]:

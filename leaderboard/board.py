@@ -91,6 +91,11 @@ def make_board(results: Iterable[Result]) -> list[Column]:
     return columns
 
 
+def own_columns(board: list[Column]) -> list[Column]:
+    """Those trained and tested on one data set, in one setting."""
+    return [column for column in board if column.key[:2] == column.key[3:5]]
+
+
 def ranked(column: Column) -> list[str]:
     """Row names, best accuracy first; equals by name."""
     return sorted(column.cells, key=lambda name: (-column.cells[name].mean(), name))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -90,6 +91,12 @@ def correct(result: Result, folder: Path) -> tuple[NDArray, NDArray, NDArray]:
     """Of a result's counted clouds: row numbers, object ids, and whether the class is right."""
     predictions, label = counted(result, folder)
     return predictions.rows, predictions.object_ids, predictions.predicted == label
+
+
+def share_correct(seeds: Sequence[Result], folder: Path) -> tuple[NDArray, NDArray]:
+    """Of the clouds all seeds were tested on: object ids, and the share of seeds that are right."""
+    tested = [correct(result, folder) for result in seeds]
+    return tested[0][1], np.mean([right for *_, right in tested], axis=0)
 
 
 def _correct(column: Column, names: list[str], folder: Path) -> tuple[NDArray, NDArray]:

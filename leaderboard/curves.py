@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from leaderboard.board import Column, ranked
-from leaderboard.comparison import correct
+from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import interval, percent, row_title
 from partialbench.benchmark.results import Result
@@ -152,9 +152,8 @@ def _point(x: float, seeds: list[Result], folder: Path) -> Point:
             f"({_condition(seeds[0])} {x:g}): {', '.join(d[:12] for d in sorted(digests))}; keep "
             f"the records of one"
         )
-    found = [correct(result, folder) for result in seeds]
-    values = np.mean([right for _, _, right in found], axis=0)
-    ((low, high),) = bootstrap_intervals(values[:, None], found[0][1])
+    object_ids, values = share_correct(seeds, folder)
+    ((low, high),) = bootstrap_intervals(values[:, None], object_ids)
     poses = [result.scores["pose"] for result in seeds]
     pose = float(np.mean([p["median_deg"] for p in poses])) if all(poses) else None
     return Point(x, len(seeds), float(values.mean()), float(low), float(high), pose)

@@ -12,15 +12,8 @@ from typing import NamedTuple
 
 from leaderboard.board import Column, protocol_title, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.words import (
-    interval,
-    model_input,
-    percent,
-    reported,
-    reported_name,
-    row_title,
-)
-from partialbench.benchmark.results import Result
+from leaderboard.words import interval, model_input, percent, reported, reported_name, row_title
+from partialbench.benchmark.results import Result, with_changes
 
 MODEL = "papnet"
 DEFAULT_VARIANT = "ground-truth"
@@ -87,7 +80,7 @@ def noise_title(result: Result) -> str:
         return row_title(result)
     others = _others(result, "delta_deg")
     delta = result.options.get("delta_deg", DEFAULT_DELTA_DEG)
-    return f"{result.card['title']}{f' [{others}]' if others else ''}, δ = {delta:g}°"
+    return f"{with_changes(result.card['title'], others)}, δ = {delta:g}°"
 
 
 def _others(result: Result, option: str) -> str:
@@ -150,11 +143,10 @@ def _ablations(board: list[Column], comparisons: list[Comparison]) -> list[Layou
             if len(names) < 2:
                 continue
             rows = [_ablation(key, names, column, comparison) for key in ABLATIONS]
-            shared = f" [{others}]" if others else ""
             best = next(iter(names))  # they came in rank order
             found.append(
                 Layout(
-                    f"Ablations of PAPNet{shared}: {column.title}",
+                    f"Ablations of {with_changes('PAPNet', others)}: {column.title}",
                     "After table 2 of the paper. Gain: over PAPNet without pose, in points of "
                     "accuracy. Rows that share a group cannot be told apart.",
                     [

@@ -6,10 +6,9 @@ import itertools
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from leaderboard.board import Cell, Column, ranked
-from leaderboard.comparison import correct
+from leaderboard.board import Cell, Column, own_columns, ranked
+from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import difference, percent, row_title
 from partialbench.benchmark.uncertainty import bootstrap_intervals, per_object
@@ -23,10 +22,9 @@ def setting_families(board: list[Column]) -> list[dict[str, Column]]:
     The settings are in the paper's order. Only columns trained and tested alike are in it.
     """
     families: dict[tuple[str, str], dict[str, Column]] = {}
-    for column in board:
-        train_id, setting, _, test_id, test_setting, _, protocol = column.key
-        if train_id == test_id and setting == test_setting and setting in SETTINGS:
-            families.setdefault((train_id, protocol), {})[setting] = column
+    for column in own_columns(board):
+        data, setting, protocol = column.key[0], column.key[1], column.key[6]
+        families.setdefault((data, protocol), {})[setting] = column
     ordered = [{s: family[s] for s in SETTINGS if s in family} for family in families.values()]
     return [family for family in ordered if len(family) > 1 and shared_rows(family)]
 
@@ -47,15 +45,15 @@ def setting_layouts(board: list[Column], folder: Path) -> list[Layout]:
 
 
 def _table(family: dict[str, Column], folder: Path) -> Layout:
-    steps = list(itertools.pairwise(family))
     rows = []
     for name in shared_rows(family):
-        cells = {setting: column.cells[name] for setting, column in family.items()}
+        cells = [column.cells[name] for column in family.values()]
+        shares = [_by_object(cell, folder) for cell in cells]
         rows.append(
             [
-                row_title(next(iter(cells.values())).results[0]),
-                *(percent(cell.mean(), cell.std()) for cell in cells.values()),
-                *(_loss(cells[before], cells[after], folder) for before, after in steps),
+                row_title(cells[0].results[0]),
+                *(percent(cell.mean(), cell.std()) for cell in cells),
+                *(_loss(before, after) for before, after in itertools.pairwise(shares)),
             ]
         )
     setting, first = next(iter(family.items()))
@@ -63,25 +61,27 @@ def _table(family: dict[str, Column], folder: Path) -> Layout:
         f"By setting: {first.title.replace(f', {setting}', '')}",
         "After the paper's first figure. Lost: accuracy (%) in one setting less that in the next, "
         "over the objects tested in both, with the 95 % interval by bootstrap over them.",
-        ["model", *family, *(f"{before} − {after}" for before, after in steps)],
+        [
+            "model",
+            *family,
+            *(f"{before} − {after}" for before, after in itertools.pairwise(family)),
+        ],
         rows,
     )
 
 
-def _loss(before: Cell, after: Cell, folder: Path) -> str:
+def _loss(before: dict[str, float], after: dict[str, float]) -> str:
     """The mean over shared objects of the difference, with its interval."""
-    one, other = _by_object(before, folder), _by_object(after, folder)
-    both = sorted(one.keys() & other.keys())
+    both = sorted(before.keys() & after.keys())
     if not both:
         return "–"
-    lost = np.array([one[o] - other[o] for o in both])[:, None]
+    lost = np.array([before[o] - after[o] for o in both])[:, None]
     ((low, high),) = bootstrap_intervals(lost, np.array(both))
     return difference((float(lost.mean()), float(low), float(high)))
 
 
 def _by_object(cell: Cell, folder: Path) -> dict[str, float]:
     """Object → share of its clouds that are right, averaged over seeds."""
-    tested = [correct(result, folder) for result in cell.results]
-    object_ids: NDArray = tested[0][1]
-    sums, counts = per_object(np.mean([right for *_, right in tested], axis=0)[:, None], object_ids)
+    object_ids, values = share_correct(cell.results, folder)
+    sums, counts = per_object(values[:, None], object_ids)
     return dict(zip(np.unique(object_ids).tolist(), (sums[:, 0] / counts).tolist(), strict=True))

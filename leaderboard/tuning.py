@@ -6,11 +6,11 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from leaderboard.agreement import AGREEMENT, accuracies, agree, own_columns
-from leaderboard.board import Column
+from leaderboard.agreement import AGREEMENT, accuracies, agree
+from leaderboard.board import Column, own_columns
 from leaderboard.layouts import Layout
 from leaderboard.words import engineering, percent
-from partialbench.benchmark.results import Result
+from partialbench.benchmark.results import Result, with_changes
 from partialbench.benchmark.trials import FILE, Trial, read_trials
 
 AS_IT_IS = "as it is"
@@ -46,8 +46,7 @@ def tuning_layouts(folder: Path, records: Sequence[Result], board: list[Column])
 def _agreement(name: str, trials: list[Trial], board: list[Column]) -> list[Layout]:
     best: dict[str, float] = {}
     for trial in trials:
-        row = f"{trial.model} [{trial.options}]" if trial.options else trial.model
-        best[row] = max(best.get(row, 0.0), trial.validation_accuracy)
+        best[trial.row] = max(best.get(trial.row, 0.0), trial.validation_accuracy)
     rows = []
     for column in own_columns(board):
         agreement = agree(best, accuracies(column))
@@ -71,7 +70,7 @@ def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
     models: dict[str, list[Trial]] = defaultdict(list)
     for trial in trials:
         title = titles.get(trial.model, trial.model)
-        models[f"{title} [{trial.options}]" if trial.options else title].append(trial)
+        models[with_changes(title, trial.options)].append(trial)
     rows = []
     for title, tried in models.items():
         found = {trial.recipe: trial.validation_accuracy for trial in tried}

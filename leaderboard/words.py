@@ -6,13 +6,12 @@ import math
 import re
 
 from leaderboard.board import Cell, Column, protocol_title
-from partialbench.benchmark.results import Result, clouds_before
+from partialbench.benchmark.results import Result, clouds_before, with_changes
 
 
 def row_title(result: Result) -> str:
     """As printed: the card's title and the variant."""
-    title = result.card["title"]
-    return f"{title} [{result.variant}]" if result.variant else title
+    return with_changes(result.card["title"], result.variant)
 
 
 def model_input(result: Result) -> str:

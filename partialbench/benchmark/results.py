@@ -68,6 +68,11 @@ def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
     )
 
 
+def with_changes(name: str, changes: str) -> str:
+    """A name and, in brackets, what was changed about it: "papnet [grid=16]"."""
+    return f"{name} [{changes}]" if changes else name
+
+
 def clouds_before(start: Mapping[str, Any] | None) -> int:
     """Clouds seen by all trainings before one that began from ``start``.
 
@@ -118,7 +123,7 @@ class Result:
     @property
     def row(self) -> str:
         """The table row it belongs to."""
-        return f"{self.model} [{self.variant}]" if self.variant else self.model
+        return with_changes(self.model, self.variant)
 
     @property
     def conditions(self) -> dict[str, str]:

@@ -7,6 +7,7 @@ import io
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
+from partialbench.benchmark.results import with_changes
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
@@ -34,6 +35,11 @@ class Trial:
     clouds_seen: int
     train_loss: float
     validation_accuracy: float
+
+    @property
+    def row(self) -> str:
+        """The table row it was tried for, whatever its recipe."""
+        return with_changes(self.model, self.options)
 
     @property
     def identity(self) -> tuple[object, ...]:
