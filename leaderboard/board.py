@@ -2,7 +2,8 @@
 
 A column is one pair of training and test data under one protocol, by digest: results that differ in
 any of the three never share a column. A row is one model (and variant); its seeds are averaged.
-What was tested on clouds made to differ from those trained on makes no column, but ``curves``.
+What was tested under another condition than trained on makes no column, but ``curves``, or
+``given`` where it was told the pose.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from leaderboard import curves, figures, gallery, latex, page, tables
+from leaderboard import curves, figures, gallery, given, latex, page, tables
 from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.check import problems
@@ -58,12 +58,13 @@ def build_leaderboard(
     if not board:
         raise InputError(
             f"{folder} holds only tests under other conditions than trained on (fewer points, "
-            f"another sensor); each needs its model's own test beside it, with --data"
+            f"another sensor, a given pose); each needs its model's own test beside it, with --data"
         )
     comparisons = [compare(column, folder) for column in board]
     test_sets = [gallery.open_test_split(Path(each)) for each in data]
     families = curves.find_families(board, records, folder)
-    drawn = figures.draw_all(board, comparisons, families, folder)
+    given_poses = given.find_given_poses(board, records, folder)
+    drawn = figures.draw_all(board, comparisons, families, given_poses, folder)
     svgs = {
         name: (caption, figures.to_bytes(figure, "svg"))
         for name, (caption, figure) in drawn.items()
@@ -73,6 +74,7 @@ def build_leaderboard(
         *layouts(board, comparisons),
         *setting_layouts(board, folder),
         *pose_layouts(board, folder),
+        *map(given.as_layout, given_poses),
         *rank_agreement(board),
         *map(curves.as_layout, families),
         *tuning_layouts(folder, records, board),
@@ -81,7 +83,7 @@ def build_leaderboard(
         "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
         "differences.csv": tables.differences_as_csv(board, comparisons).encode(),
-        "curves.csv": tables.curves_as_csv(families).encode(),
+        "curves.csv": tables.curves_as_csv(families, given_poses).encode(),
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
         "leaderboard.html": page.as_html(board, comparisons, laid_out, svgs, galleries).encode(),
     }

@@ -74,7 +74,8 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
     """
     probes: dict[tuple[str, ...], list[Result]] = defaultdict(list)
     for result in records:
-        if len(result.conditions) == 1:  # two at once lie on no curve
+        # Two at once lie on no curve; poses that are given have ``given``.
+        if len(result.conditions) == 1 and "pose" not in result.conditions:
             probes[_trained_on(result)].append(result)
     families = []
     for column in board:

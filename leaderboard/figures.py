@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison, counted
 from leaderboard.curves import Family
+from leaderboard.given import OWN, RANDOM, GivenPoses
 from leaderboard.layouts import noise_title
 from leaderboard.settings import setting_families, shared_rows
 from leaderboard.words import paper_score, row_title
@@ -37,7 +38,11 @@ FEW_CLOUDS = 10
 
 
 def draw_all(
-    board: list[Column], comparisons: list[Comparison], families: list[Family], folder: Path
+    board: list[Column],
+    comparisons: list[Comparison],
+    families: list[Family],
+    given_poses: list[GivenPoses],
+    folder: Path,
 ) -> dict[str, tuple[str, Figure]]:
     """File stem → (caption, figure). Only figures that have something to show are made."""
     figures: dict[str, tuple[str, Figure]] = {}
@@ -90,6 +95,12 @@ def draw_all(
                 figures[f"pose_{family.condition}_{family.column.slug}"] = (
                     f"Pose error against {title}", poses,
                 )  # fmt: skip
+        for given in given_poses:
+            figures[f"given_pose_{given.column.slug}"] = (
+                "Accuracy under a given pose (dashed: the model's own; dotted: a random one): "
+                f"{given.column.title}",
+                _given(given),
+            )
     return figures
 
 
@@ -202,6 +213,25 @@ def _pose_curves(family: Family) -> Figure | None:
         return None
     axes.set_ylabel("median pose error (°)")
     _condition_axis(axes, family)
+    return figure
+
+
+def _given(given: GivenPoses) -> Figure:
+    """Against the noise on the true pose; level lines where the model has its own or a random."""
+    figure, axes = _new()
+    noises = [float(pose) for pose in given.poses if pose not in (OWN, RANDOM)]
+    for name, told in given.rows.items():
+        means = {pose: 100 * mean for pose, (mean, _, _) in told.accuracy.items()}
+        noisy = {float(pose): y for pose, y in means.items() if pose not in (OWN, RANDOM)}
+        _line(axes, given.column, name, list(noisy), list(noisy.values()))
+        for pose, style in ((OWN, "--"), (RANDOM, ":")):
+            if pose in means:
+                axes.axhline(means[pose], linestyle=style, linewidth=1,
+                             color=_look(given.column, name)["color"])  # fmt: skip
+    axes.set_xticks(noises, [f"{x:g}" for x in noises])
+    axes.set_xlabel("noise on every Euler angle of the true pose, ± (°)")
+    axes.set_ylabel("accuracy (%)")
+    _legend(axes)
     return figure
 
 

@@ -9,6 +9,7 @@ import math
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.curves import Family
+from leaderboard.given import GivenPoses
 from leaderboard.layouts import Layout
 from leaderboard.words import (
     budget,
@@ -160,8 +161,8 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
     return text.getvalue()
 
 
-def curves_as_csv(families: list[Family]) -> str:
-    """One line for each point of each curve."""
+def curves_as_csv(families: list[Family], given_poses: list[GivenPoses]) -> str:
+    """One line for each point of each curve, then for each pose that a row was given."""
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
@@ -176,6 +177,13 @@ def curves_as_csv(families: list[Family]) -> str:
                 writer.writerow(
                     [family.column.title, family.condition, f"{p.x:g}", name, p.seeds,
                      *("" if math.isnan(f) else f"{f:.6f}" for f in figures)]
+                )  # fmt: skip
+    for given in given_poses:
+        for name, told in given.rows.items():
+            for pose, accuracy in told.accuracy.items():
+                writer.writerow(
+                    [given.column.title, "pose", pose, name, told.seeds,
+                     *("" if math.isnan(f) else f"{f:.6f}" for f in accuracy), ""]
                 )  # fmt: skip
     return text.getvalue()
 

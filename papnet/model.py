@@ -132,7 +132,12 @@ class PAPNet(nn.Module):
             class logits (B,K), the elementwise largest over the ensemble, so that their argmax is
             the class of the highest candidate; pose logits (B,60) unless the variant has none; the
             candidates where an ensemble decided.
+
+        Raises:
+            InputError: a rotation for a variant that turns nothing by it.
         """
+        if rotation is not None and not self.variant.transform:
+            raise InputError("this variant classifies without a pose, so none can be given to it")
         points = normalise(points)
         features = self.backbone(points, self.grid)
         pose_logits, predicted = self._pose(features)

@@ -121,6 +121,13 @@ def evaluate(
     test_points: Annotated[
         list[int] | None, typer.Option(help="test on clouds of so many points too (repeatable)")
     ] = None,
+    test_pose: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="test with the pose given too: 0 for the true one, 15 for that with noise of ±15° "
+            "on every Euler angle, random (repeatable)"
+        ),
+    ] = None,
     recipe: Annotated[list[str] | None, typer.Option(help="change the recipe: lr=0.01")] = None,
     option: Annotated[
         list[str] | None,
@@ -136,8 +143,8 @@ def evaluate(
             model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
             first_seed=first_seed, start_from=start_from, precision=precision,
             checkpoint_every=checkpoint_every, test_points=test_points or (),
-            recipe=arguments.pairs(recipe), options=arguments.pairs(option),
-            protocol=arguments.pairs(protocol),
+            test_poses=test_pose or (), recipe=arguments.pairs(recipe),
+            options=arguments.pairs(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
     if as_json:
         print(json.dumps([dataclasses.asdict(result) for result in done], indent=1))

@@ -29,10 +29,14 @@ def run_model(
     num_classes: int,
     device: torch.device | str = "cpu",
     batch_size: int = 32,
+    given: NDArray[np.float32] | None = None,
 ) -> Iterator[tuple[NDArray[np.int64], Prediction]]:
     """The model's answers for ``rows``, batch by batch, in evaluation mode and full precision.
 
     Clouds are the first points of the stored order: no randomness, no augmentation, no votes.
+
+    Args:
+        given: (M,3,3) poses told to the model, object → camera; by default it has its own.
     """
     model.eval()
     for start in range(0, len(rows), batch_size):
@@ -40,7 +44,11 @@ def run_model(
         points = torch.from_numpy(dataset.points(chosen)).to(device)
         # Not around the yield: a generator must not leave its caller without gradients.
         with torch.inference_mode():
-            output = model(points)
+            if given is None:
+                output = model(points)
+            else:
+                told = torch.from_numpy(given[start : start + batch_size]).to(device)
+                output = model(points, rotation=told)
         yield chosen, as_prediction(output, len(chosen), num_classes)
 
 
@@ -52,12 +60,14 @@ def predict_rows(
     device: torch.device | str = "cpu",
     batch_size: int = 32,
     train_sources: Sequence[str] = (),
+    given: NDArray[np.float32] | None = None,
 ) -> Predictions:
     """Predictions for ``rows`` of a test split.
 
     Args:
         num_classes: of the model, which may have been trained on other classes than ``dataset``'s.
         train_sources: ``duplicates.source_keys`` of the training data.
+        given: see ``run_model``.
 
     Raises:
         NotFiniteError: an answer with NaN or infinity.
@@ -65,7 +75,8 @@ def predict_rows(
     if len(rows) == 0:
         raise ValueError("there is nothing to evaluate: no rows")
     predicted, logs, bins, scores, classes = [], [], [], [], []
-    for chosen, prediction in run_model(model, dataset, rows, num_classes, device, batch_size):
+    answers = run_model(model, dataset, rows, num_classes, device, batch_size, given)
+    for chosen, prediction in answers:
         logits = prediction.class_logits.double()
         if not bool(torch.isfinite(logits).all()):
             bad = int((~torch.isfinite(logits)).any(dim=1).sum())

@@ -20,9 +20,11 @@ from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 FORMAT = "partialbench-result"
-FORMAT_VERSION = 3
-READABLE = (2, FORMAT_VERSION)
-"""Format 2 did not say of a split what ``DataRecord`` has a default for."""
+FORMAT_VERSION = 4
+READABLE = (2, 3, FORMAT_VERSION)
+"""Format 2 did not say of a split what ``DataRecord`` has a default for; 3 knew no given pose."""
+_ADDED: dict[str, Any] = {"given_pose": ""}
+"""Fields that records before format 4 did not have, with what they would have said."""
 SUFFIX = ".result.json"
 
 
@@ -93,6 +95,8 @@ class Result:
         card: snapshot of the model card. recipe: as used. deviations: from the published recipe.
         protocol, protocol_digest: what the run shares with the others of its column.
         train_data, test_data: see ``DataRecord``.
+        given_pose: what the model was told of each test cloud's pose, see ``given_pose.parse``; ""
+            for nothing, as ever but for such a test.
         training: see ``train.Trained.summary``.
         cost: see ``audit.cost``. rotation_audit: see there.
         environment: of the test: hardware, package versions, git commit (None outside a checkout);
@@ -112,6 +116,7 @@ class Result:
     train_data: DataRecord
     test_data: DataRecord
     seed: int
+    given_pose: str
     training: dict[str, Any]
     cost: dict[str, Any]
     rotation_audit: dict[str, Any]
@@ -127,9 +132,10 @@ class Result:
 
     @property
     def conditions(self) -> dict[str, str]:
-        """In what the test clouds were made to differ from those trained on; mostly in nothing.
+        """In what the test was made to differ from the training; mostly in nothing.
 
-        "points": their number. "sensor": what distorted them, on the data set trained on.
+        "points": of a cloud. "sensor": what distorted the clouds, on the data set trained on.
+        "pose": what was told of theirs.
         """
         train, test = self.train_data, self.test_data
         found = {}
@@ -137,6 +143,8 @@ class Result:
             found["points"] = str(test.points)
         if test.id == train.id and test.sensor != train.sensor:
             found["sensor"] = test.sensor or "ideal"
+        if self.given_pose:
+            found["pose"] = self.given_pose
         return found
 
     @property
@@ -206,10 +214,11 @@ def read(path: Path) -> Result:
     if record.get("format_version") not in READABLE:
         raise InputError(
             f"{path} is a record of format {record.get('format_version')}, this version reads "
-            f"{' and '.join(map(str, READABLE))}"
+            f"{', '.join(map(str, READABLE))}"
         )
     names = {f.name for f in fields(Result)}
-    present = set(record) - {"format", "format_version", "record_sha256"}
+    added: dict[str, Any] = _ADDED if record["format_version"] < FORMAT_VERSION else {}
+    present = set(record) - {"format", "format_version", "record_sha256"} | set(added)
     if present != names:
         raise InputError(
             f"{path}: missing fields {sorted(names - present)}, unknown {sorted(present - names)}"
@@ -219,7 +228,8 @@ def read(path: Path) -> Result:
             f"{path} was changed after it was written: its digest does not fit. Run the "
             f"evaluation again"
         )
-    values = {name: record[name] for name in names}
+    complete = added | record
+    values = {name: complete[name] for name in names}
     try:
         values["train_data"] = DataRecord(**record["train_data"])
         values["test_data"] = DataRecord(**record["test_data"])

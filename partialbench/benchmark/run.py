@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from lightning.fabric import Fabric
-from torch import nn
 
-from partialbench.benchmark import (
-    audit,
-    checkpoint,
-    environment,
-    evaluate,
-    finetune,
-    metrics,
-    models,
-    results,
-)
+from partialbench.benchmark import checkpoint, finetune, given_pose, models, results, testing
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import Clouds
 from partialbench.benchmark.memory import keep_freed_memory
 from partialbench.benchmark.protocol import Protocol
-from partialbench.benchmark.results import DataRecord, Result
+from partialbench.benchmark.results import Result
 from partialbench.benchmark.split import balanced_subset, split_by_object
 from partialbench.benchmark.train import Task, train
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
-from partialbench.registry import ModelCard, Recipe
+from partialbench.registry import Recipe
 
 log = logging.getLogger(__name__)
 
@@ -55,6 +43,7 @@ def run_eval(
     precision: str = "32-true",
     checkpoint_every: int | None = None,
     test_points: Sequence[int] = (),
+    test_poses: Sequence[str | float] = (),
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -80,6 +69,8 @@ def run_eval(
         checkpoint_every: save every so many steps, besides after every epoch.
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
         test_points: test on clouds of so many points too, beside the number trained on.
+        test_poses: test with the pose given too, see ``given_pose.parse``: "0" or 0 for the true
+            one, "15" with noise, "random". Only for a model that takes one.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
             weights do not depend on, such as PAPNet's ``k``.
@@ -90,6 +81,7 @@ def run_eval(
     """
     results_folder = Path(results_folder)
     fabric = make_fabric(device, precision)
+    poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
@@ -97,7 +89,7 @@ def run_eval(
             )
         folders = [folder for folder in (data, test_data) if folder is not None]
         return _test_checkpoint(
-            model, Path(checkpoint_file), folders, test_points, options or {}, fabric,
+            model, Path(checkpoint_file), folders, test_points, poses, options or {}, fabric,
             results_folder,
         )  # fmt: skip
     if data is None:
@@ -113,6 +105,9 @@ def run_eval(
     train_set = ShardDataset(data, "train", followed.num_points)
     folders = [folder for folder in (data, test_data) if folder is not None]
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
+    if poses:  # before a training that could not be tested so
+        fresh = models.create(model, len(train_set.class_names), options)
+        testing.try_given_pose(model, fresh, test_sets[0], poses[0], len(train_set.class_names))
 
     written = []
     start = None if start_from is None else finetune.load(start_from, model)
@@ -127,7 +122,9 @@ def run_eval(
         trained = train(task, fabric, folder, resume, checkpoint_every)
         if fabric.is_global_zero:
             content = checkpoint.load(folder / "checkpoint.pt")
-            written += _test_all(content, trained.model, test_sets, fabric, results_folder)
+            written += testing.run_tests(
+                content, trained.model, test_sets, poses, fabric, results_folder
+            )
         fabric.barrier()
     return written
 
@@ -169,88 +166,12 @@ def run_folder(task: Task) -> str:
     )
 
 
-def _test_all(
-    content: Mapping[str, Any],
-    model: nn.Module,
-    test_sets: Sequence[Clouds],
-    fabric: Fabric,
-    folder: Path,
-) -> list[Result]:
-    """Tests a finished checkpoint's model on each test set.
-
-    Cost and audit are measured once for each number of points.
-    """
-    device, num_classes = fabric.device, len(content["class_names"])
-    model = model.to(device)
-    measured: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
-    written = []
-    for test_set in test_sets:
-        if test_set.num_points not in measured:
-            # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
-            most = content["protocol"]["max_test_clouds"] or len(test_set)
-            measured[test_set.num_points] = (
-                audit.cost(model, test_set, device, min(audit.COST_BATCH, most)),
-                audit.rotation_audit(
-                    model, test_set, num_classes, device, min(audit.AUDIT_CLOUDS, most)
-                ),
-            )
-        written.append(
-            _test(content, model, test_set, fabric, folder, *measured[test_set.num_points])
-        )
-    return written
-
-
-def _test(
-    content: Mapping[str, Any],
-    model: nn.Module,
-    test_set: Clouds,
-    fabric: Fabric,
-    folder: Path,
-    cost: dict[str, Any],
-    rotation_audit: dict[str, Any],
-) -> Result:
-    """Tests on one test split and writes the record; returns it as its file has it."""
-    protocol = protocols.from_dict(content["protocol"])
-    card = models.card_of(content["model"])
-    recipe, train_data = content["recipe"], DataRecord(**content["train_data"])
-    rows = balanced_subset(np.arange(len(test_set)), test_set.labels, protocol.max_test_clouds)
-    predictions = evaluate.predict_rows(
-        model, test_set, rows, len(train_data.class_names), fabric.device,
-        train_sources=content["train_sources"],
-    )  # fmt: skip
-    result = Result(
-        model=card.name,
-        variant=content["variant"],
-        options=dict(content["options"]),
-        card=_card_as_dict(card),
-        recipe=recipe,
-        deviations=[
-            *recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
-            *finetune.deviations(content["summary"].get("start")),
-        ],
-        protocol=protocol.as_dict(),
-        protocol_digest=protocol.digest,
-        train_data=train_data,
-        test_data=results.describe_data(test_set, rows),
-        seed=content["seed"],
-        training=content["summary"],
-        cost=cost,
-        rotation_audit=rotation_audit,
-        environment=environment.describe(fabric.device),
-        predictions_file="",
-        predictions_sha256="",
-        scores=metrics.scores(predictions, train_data.class_names, test_set.class_names),
-    )
-    path = results.write(folder, result, predictions)
-    log.info("wrote %s", path)
-    return results.read(path)
-
-
 def _test_checkpoint(
     model_name: str,
     path: Path,
     folders: Sequence[Path | str],
     test_points: Sequence[int],
+    test_poses: Sequence[str],
     options: Mapping[str, Any],
     fabric: Fabric,
     results_folder: Path,
@@ -271,7 +192,10 @@ def _test_checkpoint(
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
-    return _test_all(content, model, test_sets, fabric, results_folder)
+    if test_poses:
+        classes = len(content["class_names"])
+        testing.try_given_pose(model_name, model, test_sets[0], test_poses[0], classes)
+    return testing.run_tests(content, model, test_sets, test_poses, fabric, results_folder)
 
 
 def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -296,16 +220,6 @@ def _open_test_sets(
     for test_set in test_sets:
         _require_shared_class(train_classes, test_set)
     return test_sets
-
-
-def _card_as_dict(card: ModelCard) -> dict[str, Any]:
-    """Plain JSON data."""
-    return {
-        **dataclasses.asdict(dataclasses.replace(card, recipe=Recipe())),
-        "recipe": recipes.as_dict(card.recipe),
-        "invariances": sorted(card.invariances),
-        "parameters": {str(k): v for k, v in card.parameters.items()},
-    }
 
 
 def make_fabric(device: str, precision: str) -> Fabric:

@@ -106,7 +106,7 @@ def test_table_1_has_a_column_for_each_pair_of_data_sets(tmp_path):
 
 def test_each_delta_is_a_curve_over_k(ablated):
     board = make_board(results.read_folder(ablated))
-    drawn = figures.draw_all(board, [compare(board[0], ablated)], [], ablated)
+    drawn = figures.draw_all(board, [compare(board[0], ablated)], [], [], ablated)
     caption, figure = drawn[f"ensemble_{board[0].slug}"]
     assert "number of poses" in caption
     lines = {line.get_label(): line.get_ydata() for line in figure.axes[0].lines}

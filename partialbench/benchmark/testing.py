@@ -1,0 +1,138 @@
+"""Testing a finished training: its model on each test set, a record of each."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lightning.fabric import Fabric
+from torch import nn
+
+from partialbench.benchmark import (
+    audit,
+    environment,
+    evaluate,
+    finetune,
+    given_pose,
+    metrics,
+    models,
+    results,
+)
+from partialbench.benchmark import protocol as protocols
+from partialbench.benchmark import recipe as recipes
+from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark.results import DataRecord, Result
+from partialbench.benchmark.split import balanced_subset
+from partialbench.registry import ModelCard, Recipe
+
+log = logging.getLogger(__name__)
+
+
+def run_tests(
+    content: Mapping[str, Any],
+    model: nn.Module,
+    test_sets: Sequence[Clouds],
+    test_poses: Sequence[str],
+    fabric: Fabric,
+    folder: Path,
+) -> list[Result]:
+    """Tests a finished checkpoint's model on each test set, then with each pose given.
+
+    Poses are given with clouds of the size trained on alone: a test under two conditions lies on no
+    curve. Cost and audit are measured once for each number of points, without a pose.
+    """
+    device, num_classes = fabric.device, len(content["class_names"])
+    model = model.to(device)
+    measured: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+    written = []
+    for test_set in test_sets:
+        if test_set.num_points not in measured:
+            # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
+            most = content["protocol"]["max_test_clouds"] or len(test_set)
+            measured[test_set.num_points] = (
+                audit.cost(model, test_set, device, min(audit.COST_BATCH, most)),
+                audit.rotation_audit(
+                    model, test_set, num_classes, device, min(audit.AUDIT_CLOUDS, most)
+                ),
+            )
+        poses = test_poses if test_set.num_points == content["num_points"] else ()
+        for pose in ("", *poses):
+            written.append(
+                _test(
+                    content, model, test_set, pose, fabric, folder, *measured[test_set.num_points]
+                )
+            )
+    return written
+
+
+def _test(
+    content: Mapping[str, Any],
+    model: nn.Module,
+    test_set: Clouds,
+    pose: str,
+    fabric: Fabric,
+    folder: Path,
+    cost: dict[str, Any],
+    rotation_audit: dict[str, Any],
+) -> Result:
+    """Tests on one test split and writes the record; returns it as its file has it."""
+    protocol = protocols.from_dict(content["protocol"])
+    card = models.card_of(content["model"])
+    recipe, train_data = content["recipe"], DataRecord(**content["train_data"])
+    rows = balanced_subset(np.arange(len(test_set)), test_set.labels, protocol.max_test_clouds)
+    predictions = evaluate.predict_rows(
+        model, test_set, rows, len(train_data.class_names), fabric.device,
+        train_sources=content["train_sources"],
+        given=given_pose.rotations(pose, test_set, rows) if pose else None,
+    )  # fmt: skip
+    result = Result(
+        model=card.name,
+        variant=content["variant"],
+        options=dict(content["options"]),
+        card=_card_as_dict(card),
+        recipe=recipe,
+        deviations=[
+            *recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
+            *finetune.deviations(content["summary"].get("start")),
+        ],
+        protocol=protocol.as_dict(),
+        protocol_digest=protocol.digest,
+        train_data=train_data,
+        test_data=results.describe_data(test_set, rows),
+        seed=content["seed"],
+        given_pose=pose,
+        training=content["summary"],
+        cost=cost,
+        rotation_audit=rotation_audit,
+        environment=environment.describe(fabric.device),
+        predictions_file="",
+        predictions_sha256="",
+        scores=metrics.scores(predictions, train_data.class_names, test_set.class_names),
+    )
+    path = results.write(folder, result, predictions)
+    log.info("wrote %s", path)
+    return results.read(path)
+
+
+def try_given_pose(
+    name: str, model: nn.Module, test_set: Clouds, pose: str, num_classes: int
+) -> None:
+    """Gives a pose with one cloud. Raises ``InputError`` where the model takes none."""
+    given_pose.require_taken(model, name)
+    rows = np.arange(1)
+    given = given_pose.rotations(pose, test_set, rows)
+    list(evaluate.run_model(model, test_set, rows, num_classes, given=given))
+
+
+def _card_as_dict(card: ModelCard) -> dict[str, Any]:
+    """Plain JSON data."""
+    return {
+        **dataclasses.asdict(dataclasses.replace(card, recipe=Recipe())),
+        "recipe": recipes.as_dict(card.recipe),
+        "invariances": sorted(card.invariances),
+        "parameters": {str(k): v for k, v in card.parameters.items()},
+    }

@@ -1,0 +1,149 @@
+"""What a model is told of the pose at test, and which models can be told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from typer.testing import CliRunner
+
+from partialbench.benchmark import evaluate, given_pose, models, results
+from partialbench.benchmark.batches import map_rotations
+from partialbench.benchmark.prediction import Prediction
+from partialbench.benchmark.run import run_eval
+from partialbench.cli import app
+from partialbench.errors import InputError
+from partialbench.geometry.rotations import geodesic_angle
+from tests.benchmark.memory_clouds import MemoryClouds
+from tests.benchmark.tiny_models import MODELS, SMALL
+
+ROWS = np.arange(24)
+
+
+class Reads(nn.Module):
+    """Answers with the first entries of the pose it is told, with nothing otherwise."""
+
+    def forward(self, clouds: torch.Tensor, rotation: torch.Tensor | None = None) -> Prediction:
+        if rotation is None:
+            return Prediction(torch.zeros(len(clouds), 3))
+        return Prediction(rotation[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [("0", "0"), (0, "0"), ("0.0", "0"), ("15", "15"), (7.5, "7.5"), ("random", "random")],
+)
+def test_names_of_poses(text, name):
+    assert given_pose.parse(text) == name
+
+
+@pytest.mark.parametrize("text", ["true", "-1", "181", "nan", "inf", ""])
+def test_what_is_no_pose_is_refused(text):
+    with pytest.raises(InputError, match=rf"0 to 180 .*; got '{text}'"):
+        given_pose.parse(text)
+
+
+def test_the_true_pose_is_the_label_under_symmetry():
+    clouds = MemoryClouds()
+    told = given_pose.rotations("0", clouds, ROWS)
+    assert told.dtype == np.float32
+    expected = map_rotations(clouds.rotations[ROWS], clouds.symmetries[ROWS])
+    np.testing.assert_allclose(told, expected, atol=1e-7)
+    assert np.abs(told - clouds.rotations[ROWS]).max() > 0.1  # some class has a symmetry
+
+
+def test_noise_is_of_the_papers_kind_and_size():
+    clouds = MemoryClouds()
+    true, told = (given_pose.rotations(name, clouds, ROWS) for name in ("0", "15"))
+    noise = told @ true.swapaxes(1, 2)
+    # Rz(c)·Ry(b)·Rx(a): the angles come back, and none exceeds 15°.
+    angles = np.degrees(
+        [
+            np.arctan2(noise[:, 2, 1], noise[:, 2, 2]),
+            np.arcsin(-noise[:, 2, 0]),
+            np.arctan2(noise[:, 1, 0], noise[:, 0, 0]),
+        ]
+    )
+    assert np.abs(angles).max() <= 15.001
+    assert np.abs(angles).max(axis=1).min() > 8
+    assert angles.min() < -5
+
+
+def test_a_random_pose_has_nothing_of_the_true_one():
+    clouds = MemoryClouds()
+    true, told = (given_pose.rotations(name, clouds, ROWS) for name in ("0", "random"))
+    assert np.degrees(np.median(geodesic_angle(true, told))) > 90
+    np.testing.assert_allclose(told @ told.swapaxes(1, 2), np.broadcast_to(np.eye(3), told.shape),
+                               atol=1e-6)  # fmt: skip
+
+
+def test_each_cloud_is_told_its_own_pose_whatever_the_batches():
+    clouds = MemoryClouds()
+    given = given_pose.rotations("30", clouds, ROWS)
+    whole, parts = (
+        evaluate.predict_rows(Reads(), clouds, ROWS, 3, batch_size=size, given=given)
+        for size in (24, 7)
+    )
+    np.testing.assert_array_equal(whole.predicted, given[:, 0].argmax(1))
+    np.testing.assert_array_equal(whole.predicted, parts.predicted)
+    np.testing.assert_array_equal(given, given_pose.rotations("30", clouds, ROWS))
+
+
+def test_a_record_for_each_pose_beside_the_models_own(data, tmp_path):
+    options = {"channels": 8, "width": 8, "poses": 60}
+    done = run_eval(
+        "papnet-steered", data, results_folder=tmp_path, options=options,
+        test_poses=["0", 15, "random", "15"], test_points=[32], **SMALL,
+    )  # fmt: skip
+    assert [r.conditions for r in done] == [
+        {}, {"pose": "0"}, {"pose": "15"}, {"pose": "random"}, {"points": "32"},
+    ]  # fmt: skip
+    assert [r.given_pose for r in results.read_folder(tmp_path)].count("") == 2
+    own, true, *_ = done
+    assert true.column == (*own.column, "pose=0")
+    assert "_pose-0_" in true.run_name
+    assert true.rotation_audit == own.rotation_audit
+    # The pose it would find itself is the same; the class under the given one is another.
+    stored, told = (results.read_predictions(tmp_path, r) for r in (own, true))
+    np.testing.assert_array_equal(stored.pose_bins, told.pose_bins)
+    assert (stored.log_probabilities != told.log_probabilities).any()
+
+
+def test_the_command_tells_trained_weights_a_pose(data, tmp_path):
+    options = {"grid": 16, "variant": "predicted"}
+    small = {**SMALL, "max_train_clouds": 16, "max_test_clouds": 8}
+    run_eval("papnet", data, results_folder=tmp_path, options=options, **small)
+    (weights,) = (tmp_path / "runs").glob("*/checkpoint.pt")
+    ran = CliRunner().invoke(
+        app,
+        ["eval", "--model", "papnet", "--checkpoint", str(weights), "--data", str(data),
+         "--device", "cpu", "--results", str(tmp_path / "told"), "--test-pose", "0"],
+    )  # fmt: skip
+    assert ran.exit_code == 0, ran.output
+    assert "(partial, pose 0): accuracy" in ran.output
+    assert {r.given_pose for r in results.read_folder(tmp_path / "told")} == {"", "0"}
+
+
+def test_a_model_without_a_pose_is_refused_before_it_is_trained(data, tmp_path):
+    with pytest.raises(InputError, match=r"Bare takes no pose.*argument 'rotation', \(B,3,3\)"):
+        run_eval(f"{MODELS}:Bare", data, results_folder=tmp_path, test_poses=["0"], **SMALL)
+    for variant in ("without-pose", "multi-task"):
+        with pytest.raises(InputError, match="classifies without a pose, so none can be given"):
+            run_eval(
+                "papnet", data, results_folder=tmp_path, test_poses=["random"],
+                options={"grid": 16, "variant": variant}, **SMALL,
+            )  # fmt: skip
+    assert not list(tmp_path.rglob("*"))
+    with pytest.raises(InputError, match="got 'yes'"):
+        run_eval(f"{MODELS}:Bare", data, results_folder=tmp_path, test_poses=["yes"], **SMALL)
+
+
+def test_every_model_that_takes_a_pose_is_known_by_its_forward():
+    for name, takes in (("papnet", True), ("papnet-steered", True), ("pointnet", False)):
+        model = models.create(name, 3, {"grid": 16} if name == "papnet" else {})
+        if takes:
+            given_pose.require_taken(model, name)
+        else:
+            with pytest.raises(InputError, match="pointnet takes no pose"):
+                given_pose.require_taken(model, name)
