@@ -12,11 +12,27 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from partialbench.benchmark.protocol import PRESETS
 from partialbench.benchmark.results import Result
+
+
+class Pose(NamedTuple):
+    """How well a row finds poses.
+
+    Attributes:
+        top_1, top_5: share of clouds whose true bin is among the 1, 5 most probable.
+        median_deg: angle from the best bin to the truth, modulo symmetry, in degrees.
+        within_30: share of clouds whose best bin errs by less than 30°.
+    """
+
+    top_1: float
+    top_5: float
+    median_deg: float
+    within_30: float
 
 
 @dataclass(frozen=True)
@@ -35,13 +51,41 @@ class Cell:
 
     def mean(self, score: str = "accuracy") -> float:
         """Over seeds."""
-        return float(np.mean([r.scores[score] for r in self.results]))
+        return _mean(r.scores[score] for r in self.results)
 
     def std(self, score: str = "accuracy") -> float | None:
         """Sample standard deviation over seeds; None for one seed."""
         if self.seeds < 2:
             return None
         return float(np.std([r.scores[score] for r in self.results], ddof=1))
+
+    @property
+    def pose(self) -> Pose | None:
+        """How well poses are found, each figure a mean over seeds; None for a row without pose."""
+        found = [r.scores["pose"] for r in self.results]
+        if not found[0]:
+            return None
+        return Pose(
+            top_1=_mean(pose["top_k"][0] for pose in found),
+            top_5=_mean(pose["top_k"][4] for pose in found),
+            median_deg=_mean(pose["median_deg"] for pose in found),
+            within_30=_mean(pose["within_30"] for pose in found),
+        )
+
+    @property
+    def drift(self) -> float:
+        """How far logits move when a cloud is turned, as a share of their size, over seeds."""
+        return _mean(r.rotation_audit["drift"] for r in self.results)
+
+    @property
+    def per_class(self) -> dict[str, float]:
+        """Accuracy over seeds of each class that has test clouds."""
+        seeds = [r.scores["per_class"] for r in self.results]
+        return {
+            label: _mean(shares[label] for shares in seeds)
+            for label, share in seeds[0].items()
+            if share is not None
+        }
 
 
 @dataclass
@@ -100,6 +144,10 @@ def own_columns(board: list[Column]) -> list[Column]:
 def ranked(column: Column) -> list[str]:
     """Row names, best accuracy first; equals by name."""
     return sorted(column.cells, key=lambda name: (-column.cells[name].mean(), name))
+
+
+def _mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))
 
 
 def _title(result: Result) -> str:

@@ -87,7 +87,6 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
     cell = column.cells[name]
     first = cell.results[0]
     low, high = comparison.intervals[name]
-    pose = first.scores["pose"]
     return {
         "title": row_title(first),
         "card": first.card,
@@ -104,8 +103,8 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
         "class_accuracy": cell.mean("class_accuracy"),
         "restricted_accuracy": cell.mean("restricted_accuracy"),
         "calibration_error": cell.mean("calibration_error"),
-        "pose": pose,
-        "drift": first.rotation_audit["drift"],
+        "pose": cell.pose,
+        "drift": cell.drift,
         "parameters": first.cost["parameters"],
         "parameters_text": f"{first.cost['parameters']:,}",
         "multiply_adds": first.cost["multiply_adds"],
@@ -113,10 +112,7 @@ def _row(column: Column, comparison: Comparison, name: str) -> dict[str, Any]:
         "batch_ms": first.cost["batch_ms"],
         "seeds": [r.seed for r in cell.results],
         "paper": paper_score(column, first),
-        "per_class": [
-            (label, share) for label, share in first.scores["per_class"].items()
-            if share is not None
-        ],
+        "per_class": list(cell.per_class.items()),
         "training": first.training,
         "budget": budget(first),
         "curves": [

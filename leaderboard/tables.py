@@ -69,15 +69,13 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
             if crossed:
                 line.append(percent(cell.mean("restricted_accuracy"), None))
             if posed:
-                pose = result.scores["pose"]
+                pose = cell.pose
                 line += (
-                    [f"{100 * pose['top_k'][0]:.1f}", f"{pose['median_deg']:.0f}°"]
-                    if pose
-                    else ["–", "–"]
+                    [f"{100 * pose.top_1:.1f}", f"{pose.median_deg:.0f}°"] if pose else ["–", "–"]
                 )
             cost = result.cost
             line += [
-                f"{100 * result.rotation_audit['drift']:.1f}",
+                f"{100 * cell.drift:.1f}",
                 f"{cost['parameters']:,}",
                 engineering(cost["multiply_adds"]),
                 f"{cost['batch_ms']:.2f}",
@@ -132,12 +130,7 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
             cell = column.cells[name]
             first, std = cell.results[0], cell.std()
             low, high = comparison.intervals[name]
-            pose = first.scores["pose"]
-            posed = (
-                [pose["top_k"][0], pose["top_k"][4], pose["median_deg"], pose["within_30"]]
-                if pose
-                else [None] * 4
-            )
+            posed = cell.pose or [None] * 4
             paper = paper_score(column, first)
             alone = first.scores["accuracy_without_duplicates"]
             alone = None if alone is None else cell.mean("accuracy_without_duplicates")
@@ -149,7 +142,7 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 " ".join(map(str, comparison.groups[name])), first.scores["duplicates"],
                 alone, cell.mean("class_accuracy"),
                 cell.mean("restricted_accuracy"), cell.mean("calibration_error"), *posed,
-                first.rotation_audit["drift"], first.cost["parameters"],
+                cell.drift, first.cost["parameters"],
                 first.cost["multiply_adds"], first.cost["latency_ms"], first.cost["batch_ms"],
                 first.training["clouds_seen"], first.training["seconds"],
                 first.training["clouds_per_second"], first.cost["peak_memory_bytes"],

@@ -41,6 +41,28 @@ def test_cells_average_their_seeds(folder):
     assert ranked(column)[-1] == "poor"
 
 
+def test_pose_turning_and_classes_are_means_over_seeds_too(folder, tmp_path):
+    found = [
+        dataclasses.replace(r, rotation_audit=r.rotation_audit | {"drift": 0.1 + 0.2 * r.seed})
+        for r in results.read_folder(folder)
+        if r.model == "good" and r.train_data.id == r.test_data.id
+    ]
+    cell = make_board(found)[0].cells["good"]
+    poses, classes = (
+        [r.scores[score] for r in cell.results] for score in ("pose", "per_class")
+    )  # fmt: skip
+    assert poses[0] != poses[1]
+    assert cell.pose.top_1 == pytest.approx((poses[0]["top_k"][0] + poses[1]["top_k"][0]) / 2)
+    assert cell.pose.top_5 == pytest.approx((poses[0]["top_k"][4] + poses[1]["top_k"][4]) / 2)
+    for figure in ("median_deg", "within_30"):
+        assert getattr(cell.pose, figure) == pytest.approx(np.mean([p[figure] for p in poses]))
+    assert cell.drift == pytest.approx(0.2)
+    assert cell.per_class == pytest.approx(
+        {name: (classes[0][name] + classes[1][name]) / 2 for name in classes[0]}
+    )
+    assert classes[0] != classes[1]
+
+
 @pytest.mark.parametrize(
     "other",
     [
