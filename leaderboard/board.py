@@ -94,7 +94,8 @@ class Column:
 
     Attributes:
         key: ``Result.column``.
-        title: as printed; has digests only where two columns would otherwise read the same.
+        title: as printed; has numbers of training clouds, or else digests, only where two columns
+            would otherwise read the same.
         reported: key of the paper's own figures for this pair of data sets ("pm40>ps15"), or "".
         cells: row name → cell.
     """
@@ -103,6 +104,11 @@ class Column:
     title: str
     reported: str
     cells: dict[str, Cell] = field(default_factory=dict)
+
+    @property
+    def training_clouds(self) -> int:
+        """Trained on in one pass, without those held out for validation."""
+        return next(iter(self.cells.values())).results[0].train_data.clouds
 
     @property
     def slug(self) -> str:
@@ -184,9 +190,18 @@ def _reported(result: Result) -> str:
 
 
 def _tell_apart(columns: list[Column]) -> None:
-    """Adds to equal titles the first digest digits in which they differ."""
-    titles = [column.title for column in columns]
+    """Adds to equal titles their numbers of training clouds, or else digits of their digests."""
+    alike = defaultdict(list)
     for column in columns:
-        if titles.count(column.title) > 1:
+        alike[column.title].append(column)
+    for same in alike.values():
+        if len(same) == 1:
+            continue
+        sizes = {column.training_clouds for column in same}
+        for column in same:
             digests = (column.key[2], column.key[5], column.key[6])
-            column.title += " (" + " ".join(digest[:6] for digest in digests) + ")"
+            column.title += (
+                f" ({column.training_clouds:,} training clouds)"
+                if len(sizes) == len(same)
+                else " (" + " ".join(digest[:6] for digest in digests) + ")"
+            )

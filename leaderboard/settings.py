@@ -19,14 +19,25 @@ SETTINGS = ("aligned", "rotated", "partial")
 def setting_families(board: list[Column]) -> list[dict[str, Column]]:
     """Setting → column, for each data set and protocol with a row in two settings or more.
 
-    The settings are in the paper's order. Only columns trained and tested alike are in it.
+    The settings are in the paper's order. Only columns trained and tested alike are in it. Where a
+    setting was trained with several numbers of clouds there is a family for each number, in which a
+    setting that has not that number is stood for by the nearest that it has.
     """
-    families: dict[tuple[str, str], dict[str, Column]] = {}
+    trained: dict[tuple[str, str], dict[str, list[Column]]] = {}
     for column in own_columns(board):
         data, setting, protocol = column.key[0], column.key[1], column.key[6]
-        families.setdefault((data, protocol), {})[setting] = column
-    ordered = [{s: family[s] for s in SETTINGS if s in family} for family in families.values()]
-    return [family for family in ordered if len(family) > 1 and shared_rows(family)]
+        trained.setdefault((data, protocol), {}).setdefault(setting, []).append(column)
+    families = {}
+    for columns in trained.values():
+        for size in sorted({c.training_clouds for each in columns.values() for c in each}):
+            family = {s: _nearest(columns[s], size) for s in SETTINGS if s in columns}
+            if len(family) > 1 and shared_rows(family):
+                families[tuple(column.key for column in family.values())] = family
+    return list(families.values())
+
+
+def _nearest(columns: list[Column], size: int) -> Column:
+    return min(columns, key=lambda column: abs(column.training_clouds - size))
 
 
 def shared_rows(family: dict[str, Column]) -> list[str]:
@@ -57,10 +68,12 @@ def _table(family: dict[str, Column], folder: Path) -> Layout:
             ]
         )
     setting, first = next(iter(family.items()))
+    sizes = ", ".join(f"{column.training_clouds:,} {name}" for name, column in family.items())
     return Layout(
         f"By setting: {first.title.replace(f', {setting}', '')}",
         "After the paper's first figure. Lost: accuracy (%) in one setting less that in the next, "
-        "over the objects tested in both, with the 95 % interval by bootstrap over them.",
+        "over the objects tested in both, with the 95 % interval by bootstrap over them. Training "
+        f"clouds: {sizes}.",
         [
             "model",
             *family,

@@ -54,7 +54,7 @@ def predictions(
 def record(
     name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="mini",
     test=None, test_digest="b", paper=None, title=None, variant="", options=None,
-    points=None, sensor="", setting="partial", given_pose="",
+    points=None, sensor="", setting="partial", given_pose="", clouds=100,
 ) -> Result:  # fmt: skip
     card = ModelCard(
         name=name, entry=f"x:{name}", title=title or name.upper(), paper="Somebody et al., 2021",
@@ -70,7 +70,7 @@ def record(
         model=name, variant=variant, options=options or {}, card=fields, recipe=fields["recipe"],
         deviations=["29 epochs instead of 250"], protocol=protocol.as_dict(),
         protocol_digest=protocol.digest,
-        train_data=DataRecord(data, setting, digest * 64, 100, 20, CLASSES),
+        train_data=DataRecord(data, setting, digest * 64, clouds, 20, CLASSES),
         test_data=DataRecord(
             test, setting, test_digest * 64, len(stored), objects, CLASSES,
             points or protocol.num_points, sensor,

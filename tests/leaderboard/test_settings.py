@@ -65,3 +65,21 @@ def test_one_setting_another_protocol_or_no_row_in_common_make_no_table(tmp_path
     add_setting(tmp_path, "one", "aligned", 0.9, preset="paper")
     assert setting_families(make_board(results.read_folder(tmp_path))) == []
     assert layouts(tmp_path) == []
+
+
+def test_each_number_of_training_clouds_is_compared_with_its_own(tmp_path):
+    for name in ("one", "two"):
+        add_setting(tmp_path, name, "aligned", 0.9, clouds=100)
+        add_setting(tmp_path, name, "rotated", 0.7, clouds=100)
+        add_setting(tmp_path, name, "partial", 0.5, clouds=300)
+    add(tmp_path, "one", 0.95, setting="rotated", digest="R", clouds=300)
+    small, large = setting_families(make_board(results.read_folder(tmp_path)))
+    assert [c.training_clouds for c in small.values()] == [100, 100, 300]
+    assert [c.training_clouds for c in large.values()] == [100, 300, 300]
+    assert small["rotated"].title == "pm40-parametric, rotated, mini (100 training clouds)"
+    assert small["partial"].title == "pm40-parametric, partial, mini"
+    first, second = layouts(tmp_path)
+    assert (len(first.rows), len(second.rows)) == (2, 1)
+    assert first.about.endswith("Training clouds: 100 aligned, 100 rotated, 300 partial.")
+    assert second.about.endswith("Training clouds: 100 aligned, 300 rotated, 300 partial.")
+    assert second.title == "By setting: pm40-parametric, mini"
