@@ -89,11 +89,18 @@ def _others(result: Result, option: str) -> str:
 
 
 def _evaluations(board: list[Column]) -> list[Layout]:
-    """Table 1: methods by pairs of data sets; a table for each protocol with two pairs or more."""
-    protocols: dict[str, list[Column]] = defaultdict(list)
+    """Table 1: methods by pairs of data sets; a table for each protocol with two pairs or more.
+
+    Of columns that differ in digests alone it has the one with most rows.
+    """
+    fullest: dict[tuple[str, ...], Column] = {}
     for column in board:
         if column.reported:
-            protocols[column.key[6]].append(column)
+            pair = (*column.key[:2], *column.key[3:5], column.key[6])
+            fullest[pair] = max(fullest.get(pair, column), column, key=lambda c: len(c.cells))
+    protocols: dict[str, list[Column]] = defaultdict(list)
+    for column in fullest.values():
+        protocols[column.key[6]].append(column)
     found = []
     for columns in protocols.values():
         if len(columns) < 2:
@@ -113,10 +120,8 @@ def _evaluations(board: list[Column]) -> list[Layout]:
                 ours = "–" if cell is None else percent(cell.mean(), cell.std())
                 row += [ours, reported(column, first)]
             rows.append(row)
-        # The same for all but the data sets' names, unless digests tell two apart.
         heads = [
-            [column.title.replace(f", partial, {preset}", ""), reported_name(column)]
-            for column in columns
+            [column.title.partition(", partial, ")[0], reported_name(column)] for column in columns
         ]
         found.append(
             Layout(

@@ -102,6 +102,10 @@ def test_table_1_has_a_column_for_each_pair_of_data_sets(tmp_path):
     assert one[3::2] == ["68.8", "73.5", "35.0"]
     assert two[2::2] == ["–", two[4], "–"]
     assert float(two[4]) < float(one[4])
+    # The same pair of another digest, with fewer rows, is not shown beside it.
+    add(tmp_path, "one", 0.1, data="ps15", test="ps15", digest="A", test_digest="S", paper=paper)
+    _, (again,) = laid_out(tmp_path)
+    assert (again.head, sorted(again.rows)) == (table.head, sorted(table.rows))
 
 
 def test_each_delta_is_a_curve_over_k(ablated):
