@@ -17,7 +17,7 @@ from leaderboard.comparison import Comparison, counted
 from leaderboard.curves import Family
 from leaderboard.given import OWN, RANDOM, GivenPoses
 from leaderboard.layouts import noise_title
-from leaderboard.settings import setting_families, shared_rows
+from leaderboard.settings import compared_rows, setting_families
 from leaderboard.words import paper_score, row_title
 from partialbench.benchmark import results
 from partialbench.benchmark.metrics import (
@@ -139,15 +139,16 @@ def _accuracy(column: Column, comparison: Comparison) -> Figure:
 
 
 def _by_setting(board: list[Column]) -> Figure | None:
-    """Bars for each model that one data set was run with in every one of its settings."""
+    """Bars for each model that one data set was run with in two of its settings or more."""
     found = setting_families(board)
     if not found:
         return None
     columns = max(found, key=len)
-    names = shared_rows(columns)
+    names = compared_rows(columns)
     figure, axes = _new(1.5 + 0.7 * len(names))
     for i, (setting, column) in enumerate(columns.items()):
-        heights = [100 * column.cells[name].mean() for name in names]
+        cells = [column.cells.get(name) for name in names]
+        heights = [100 * cell.mean() if cell else np.nan for cell in cells]
         axes.bar(np.arange(len(names)) + 0.27 * i, heights, 0.25, label=setting)
     axes.set_xticks(np.arange(len(names)) + 0.27, names, rotation=30, ha="right")
     axes.set_ylabel("accuracy (%)")

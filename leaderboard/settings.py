@@ -31,7 +31,7 @@ def setting_families(board: list[Column]) -> list[dict[str, Column]]:
     for columns in trained.values():
         for size in sorted({c.training_clouds for each in columns.values() for c in each}):
             family = {s: _nearest(columns[s], size) for s in SETTINGS if s in columns}
-            if len(family) > 1 and shared_rows(family):
+            if compared_rows(family):
                 families[tuple(column.key for column in family.values())] = family
     return list(families.values())
 
@@ -40,10 +40,11 @@ def _nearest(columns: list[Column], size: int) -> Column:
     return min(columns, key=lambda column: abs(column.training_clouds - size))
 
 
-def shared_rows(family: dict[str, Column]) -> list[str]:
-    """The rows that every setting of the family has, best in the first of them first."""
-    first, *others = family.values()
-    return [name for name in ranked(first) if all(name in column.cells for column in others)]
+def compared_rows(family: dict[str, Column]) -> list[str]:
+    """The rows that two settings of the family have, or more; best in the first setting first."""
+    columns = family.values()
+    names = dict.fromkeys(name for column in columns for name in ranked(column))
+    return [name for name in names if sum(name in column.cells for column in columns) > 1]
 
 
 def setting_layouts(board: list[Column], folder: Path) -> list[Layout]:
@@ -57,13 +58,13 @@ def setting_layouts(board: list[Column], folder: Path) -> list[Layout]:
 
 def _table(family: dict[str, Column], folder: Path) -> Layout:
     rows = []
-    for name in shared_rows(family):
-        cells = [column.cells[name] for column in family.values()]
-        shares = [_by_object(cell, folder) for cell in cells]
+    for name in compared_rows(family):
+        cells = [column.cells.get(name) for column in family.values()]
+        shares = [_by_object(cell, folder) if cell else {} for cell in cells]
         rows.append(
             [
-                row_title(cells[0].results[0]),
-                *(percent(cell.mean(), cell.std()) for cell in cells),
+                row_title(next(cell for cell in cells if cell).results[0]),
+                *(percent(cell.mean(), cell.std()) if cell else "–" for cell in cells),
                 *(_loss(before, after) for before, after in itertools.pairwise(shares)),
             ]
         )

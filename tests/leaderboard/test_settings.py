@@ -79,7 +79,11 @@ def test_each_number_of_training_clouds_is_compared_with_its_own(tmp_path):
     assert small["rotated"].title == "pm40-parametric, rotated, mini (100 training clouds)"
     assert small["partial"].title == "pm40-parametric, partial, mini"
     first, second = layouts(tmp_path)
-    assert (len(first.rows), len(second.rows)) == (2, 1)
+    assert [row[0] for row in first.rows] == ["ONE", "TWO"]
+    assert [row[0] for row in second.rows] == ["ONE", "TWO"]
+    two = second.rows[1]
+    assert (two[2], two[4], two[5]) == ("–", "–", "–")  # not trained on so many rotated clouds
+    assert "–" not in (two[1], two[3])
     assert first.about.endswith("Training clouds: 100 aligned, 100 rotated, 300 partial.")
     assert second.about.endswith("Training clouds: 100 aligned, 300 rotated, 300 partial.")
     assert second.title == "By setting: pm40-parametric, mini"
