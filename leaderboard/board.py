@@ -63,7 +63,7 @@ class Cell:
     def pose(self) -> Pose | None:
         """How well poses are found, each figure a mean over seeds; None for a row without pose."""
         found = [r.scores["pose"] for r in self.results]
-        if not found[0]:
+        if not all(found):
             return None
         return Pose(
             top_1=_mean(pose["top_k"][0] for pose in found),

@@ -14,9 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from leaderboard.board import Column, ranked
+from leaderboard.board import Cell, Column, ranked
 from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import interval, percent, row_title
@@ -155,6 +153,6 @@ def _point(x: float, seeds: list[Result], folder: Path) -> Point:
         )
     object_ids, values = share_correct(seeds, folder)
     ((low, high),) = bootstrap_intervals(values[:, None], object_ids)
-    poses = [result.scores["pose"] for result in seeds]
-    pose = float(np.mean([p["median_deg"] for p in poses])) if all(poses) else None
-    return Point(x, len(seeds), float(values.mean()), float(low), float(high), pose)
+    pose = Cell(tuple(seeds)).pose
+    pose_deg = pose.median_deg if pose else None
+    return Point(x, len(seeds), float(values.mean()), float(low), float(high), pose_deg)

@@ -320,7 +320,7 @@ def _line(axes: Axes, column: Column, name: str, x: Any, y: Any, label: str = ""
 
 def _posed(column: Column) -> list[str]:
     """The rows that have a pose, best first."""
-    return [n for n in ranked(column) if column.cells[n].results[0].scores["pose"]]
+    return [name for name in ranked(column) if column.cells[name].pose]
 
 
 def _label(column: Column, name: str) -> str:

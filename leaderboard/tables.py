@@ -46,7 +46,7 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
         crossed = crosses(column)
         if crossed:
             head.append("shared classes only")
-        posed = any(cell.results[0].scores["pose"] for cell in column.cells.values())
+        posed = any(cell.pose for cell in column.cells.values())
         if posed:
             head += ["pose bin", "pose error"]
         head += ["turned", "parameters", "multiply-adds", "ms a cloud", "training", "seeds"]
