@@ -21,7 +21,8 @@ def setting_families(board: list[Column]) -> list[dict[str, Column]]:
 
     The settings are in the paper's order. Only columns trained and tested alike are in it. Where a
     setting was trained with several numbers of clouds there is a family for each number, in which a
-    setting that has not that number is stood for by the nearest that it has.
+    setting that has not that number is stood for by the nearest that it has. Of columns that differ
+    in digests alone it is the one with most rows, as in table 1.
     """
     trained: dict[tuple[str, str], dict[str, list[Column]]] = {}
     for column in own_columns(board):
@@ -37,7 +38,7 @@ def setting_families(board: list[Column]) -> list[dict[str, Column]]:
 
 
 def _nearest(columns: list[Column], size: int) -> Column:
-    return min(columns, key=lambda column: abs(column.training_clouds - size))
+    return min(columns, key=lambda c: (abs(c.training_clouds - size), -len(c.cells)))
 
 
 def compared_rows(family: dict[str, Column]) -> list[str]:

@@ -87,3 +87,13 @@ def test_each_number_of_training_clouds_is_compared_with_its_own(tmp_path):
     assert first.about.endswith("Training clouds: 100 aligned, 100 rotated, 300 partial.")
     assert second.about.endswith("Training clouds: 100 aligned, 300 rotated, 300 partial.")
     assert second.title == "By setting: pm40-parametric, mini"
+
+
+def test_of_columns_that_differ_in_digests_alone_the_fullest_is_compared(tmp_path):
+    add_setting(tmp_path, "one", "rotated", 0.9)
+    add(tmp_path, "one", 0.5, setting="partial", digest="p")
+    for name in ("one", "two"):
+        add(tmp_path, name, 0.6, setting="partial", digest="z")
+    add(tmp_path, "one", 0.5, setting="partial", digest="a")
+    (family,) = setting_families(make_board(results.read_folder(tmp_path)))
+    assert sorted(family["partial"].cells) == ["one", "two"]
