@@ -112,6 +112,7 @@ class _Stages(NamedTuple):
 
 
 @lru_cache(maxsize=64)
+@torch.inference_mode(False)  # Kept for trainings to come, which save them for their backward pass.
 def _stages(plan: Plan, dtype: torch.dtype, device: torch.device) -> _Stages:
     """The volume's transform, the kernel's, and the inverse's first (U,2h) and others (2U,2N)."""
     N = plan.period

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
+from baselines.steerable import spectral
 from baselines.steerable_cnn import SteerableCNN
 from baselines.voxels import low_pass, occupancy
 
@@ -41,6 +42,18 @@ def test_volumes_have_the_published_edges() -> None:
     with torch.no_grad():
         assert model(torch.randn(1, 100, 3)).class_logits.shape == (1, 10)
     assert edges == [34, 38, 21, 25, 15, 19, 12, 16]
+
+
+def test_a_model_trains_after_another_was_evaluated() -> None:
+    """What the first keeps for later volumes is no inference tensor, which autograd refuses."""
+    spectral._stages.cache_clear()
+    points, label = torch.randn(32, 50, 3), torch.arange(32) % 4
+    evaluated, model = SteerableCNN(4, grid=8).eval(), SteerableCNN(4, grid=8).train()
+    with torch.inference_mode():
+        evaluated(points)
+    assert spectral._stages.cache_info().currsize, "the case this is about"
+    torch.nn.functional.cross_entropy(model(points).class_logits, label).backward()
+    assert all(p.grad is not None for p in model.parameters())
 
 
 @pytest.mark.slow
