@@ -11,6 +11,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from partialbench.errors import InputError
+from renderers.sources.ply import require_whole
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".npy")
 """The formats that are read, in the order of preference where an object comes in several."""
@@ -57,6 +58,7 @@ def read_cloud(content: bytes, name: str) -> NDArray[np.float64]:
 
 
 def _read_ply(content: bytes) -> NDArray:
+    require_whole(content)
     loaded: Any = trimesh.load(io.BytesIO(content), file_type="ply", process=False)
     return np.asarray(loaded.vertices)
 

@@ -12,6 +12,7 @@ import trimesh
 
 from partialbench.errors import InputError
 from renderers.sources.off import read_off
+from renderers.sources.ply import require_whole
 
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".dae")
 """The formats that are read, in the order of preference where an object comes in several."""
@@ -72,8 +73,12 @@ def _read_other(content: bytes, suffix: str, name: str) -> trimesh.Trimesh:
     if kind == "obj":
         options = {"skip_materials": True, "maintain_order": True}
     try:
+        if kind == "ply":
+            require_whole(content)
         scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, **options)
         mesh = scene.to_mesh()
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
     except Exception as error:  # each format's parser fails in its own ways
         raise InputError(
             f"{name}: cannot be read as {kind.upper()} ({type(error).__name__}: {error})"

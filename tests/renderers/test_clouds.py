@@ -213,6 +213,8 @@ def test_unmeasured_points_of_a_pcd_are_dropped(rng: np.random.Generator) -> Non
         ("a.xyz", b"one two three\n", "cannot be read as XYZ"),
         ("a.npy", b"junk", "cannot be read as NPY"),
         ("a.ply", b"ply\nformat", "cannot be read as PLY"),
+        ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+         b"property float z\nend_header\n0 0 0\n1 1 1\n", "says 3 vertex lines, 2 follow it"),
         ("a.pcd", b"VERSION 0.7\n", "no DATA line"),
         ("a.pcd", b"FIELDS a b\nDATA ascii\n", "broken or has no x, y, z"),
         ("a.pcd", pcd(np.ones((4, 3)), "binary")[:-3], "cut short: 4 points need 128 bytes, 125"),

@@ -146,6 +146,19 @@ def test_a_file_cut_in_half_is_an_input_error(suffix: str) -> None:
         read_mesh(content[: len(content) // 2], suffix)
 
 
+@pytest.mark.parametrize("lost", ["half", "a line", "an index"])
+def test_a_text_ply_cut_short_is_an_input_error(lost: str) -> None:
+    """Its parser takes what is there for all there is."""
+    content = trimesh.creation.icosphere(subdivisions=2).export(file_type="ply", encoding="ascii")
+    content = content if isinstance(content, bytes) else content.encode()
+    whole = content.rstrip()
+    assert len(read_mesh(whole, ".ply").faces) == 320
+    kept = {"half": whole[: len(whole) // 2], "a line": whole.rpartition(b"\n")[0],
+            "an index": whole.rpartition(b" ")[0]}  # fmt: skip
+    with pytest.raises(InputError, match=r"^ball: the ASCII PLY was cut short"):
+        read_mesh(kept[lost], ".ply", name="ball")
+
+
 def test_errors_say_what_the_file_lacks(tmp_path: Path) -> None:
     cloud = trimesh.PointCloud([[0.0, 0, 0], [1, 1, 1]]).export(file_type="ply")
     with pytest.raises(InputError, match="has no faces; expected a mesh, not points"):

@@ -90,9 +90,7 @@ def write_scene(root: Path, scene_id: str, things: list[Thing], segmented: bool 
         (folder / f"{scene_id}_vh_clean_2.0.010000.segs.json").write_text(
             json.dumps({"segIndices": (10 * owner + 3).tolist()})
         )
-        (folder / f"{scene_id}_vh_clean.aggregation.json").write_text(
-            json.dumps({"segGroups": groups})
-        )
+        (folder / f"{scene_id}.aggregation.json").write_text(json.dumps({"segGroups": groups}))
     return annotate(scene_id, things)
 
 

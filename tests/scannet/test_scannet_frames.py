@@ -111,6 +111,26 @@ def test_truncated_binary_mesh_is_an_input_error(tmp_path, label_map, scene):
         read_scene(scene, label_map)
 
 
+def test_truncated_text_mesh_is_an_input_error(label_map, scene):
+    path = scene / f"{scene.name}_vh_clean_2.ply"
+    whole = path.read_bytes()
+    for kept in (len(whole) // 2, len(whole) - 40, len(whole.rstrip().rpartition(b" ")[0])):
+        path.write_bytes(whole[:kept])
+        with pytest.raises(InputError, match=r"vh_clean_2\.ply: the ASCII PLY was cut short"):
+            read_scene(scene, label_map)
+
+
+def test_segments_of_the_full_resolution_mesh_are_not_taken_for_ours(tmp_path, label_map):
+    """ScanNet has an aggregation for each of its two meshes, with the same object numbers."""
+    write_scene(tmp_path, "scene0002_00", [Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0, 0))], True)
+    folder = tmp_path / "scans" / "scene0002_00"
+    own = folder / "scene0002_00.aggregation.json"
+    own.rename(folder / "scene0002_00_vh_clean.aggregation.json")
+    assert read_scene(folder, label_map).groups is None
+    own.write_text('{"segGroups": []}')
+    assert read_scene(folder, label_map).groups == []
+
+
 def test_labels_of_another_mesh_are_refused(scene, label_map):
     mesh = scene / f"{scene.name}_vh_clean_2.ply"
     other = scene.parent / "scene0009_00"
@@ -121,7 +141,7 @@ def test_labels_of_another_mesh_are_refused(scene, label_map):
 
 
 def test_label_map_errors(tmp_path):
-    with pytest.raises(InputError, match="part of the ScanNet download"):
+    with pytest.raises(InputError, match="part of the ScanNet download: put it into the --scannet"):
         read_label_map(tmp_path / "absent.tsv")
     path = tmp_path / "map.tsv"
     path.write_text("id\traw_category\n1\twall\n")

@@ -3,16 +3,19 @@
     <scene>_vh_clean_2.ply                  vertices and faces, metres, z up          required
     <scene>_vh_clean_2.labels.ply           property label: an nyu40 id per vertex   ┐ one of
     <scene>_vh_clean_2.0.010000.segs.json   segIndices: a segment per vertex         ┐ the two
-    <scene>[_vh_clean].aggregation.json     segGroups: objectId, segments, label     ┘
+    <scene>.aggregation.json                segGroups: objectId, segments, label     ┘
     scannetv2-labels.combined.tsv           raw category → nyu40 id, ModelNet40 name
 
-The scan frame is the mesh's own. ``<scene>.txt`` and its ``axisAlignment`` are not read: it turns
+``<scene>_vh_clean.aggregation.json`` is not read: its segments are those of the full-resolution
+mesh (``<scene>_vh_clean.segs.json``), whose numbers mean others here. The scan frame is the mesh's
+own. ``<scene>.txt`` and its ``axisAlignment`` are not read: it turns
 the scan about z, and Scan2CAD's poses are relative to the mesh as stored.
 """
 
 from __future__ import annotations
 
 import csv
+import io
 import json
 from collections import Counter
 from dataclasses import dataclass
@@ -25,6 +28,7 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.categories import PS15
 from partialbench.errors import InputError
+from renderers.sources.ply import require_whole
 
 LABEL_MAP = "scannetv2-labels.combined.tsv"
 NYU40_MAX = 40
@@ -108,7 +112,7 @@ def read_label_map(path: Path) -> LabelMap:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
             f"cannot read ScanNet's label map {path}: {error}. It is part of the ScanNet download: "
-            f"put it beside the scans folder"
+            f"put it into the --scannet folder, beside scans/"
         ) from error
     class_of: dict[str, str] = {}
     nyu40_of: dict[str, int] = {}
@@ -144,18 +148,13 @@ def scene_folder(root: Path, scene_id: str) -> Path | None:
 def scene_files(folder: Path) -> dict[str, Path]:
     """The files of a scene that are there: mesh, labels, segments, aggregation."""
     scene = folder.name
-    candidates = {
-        "mesh": [f"{scene}_vh_clean_2.ply"],
-        "labels": [f"{scene}_vh_clean_2.labels.ply"],
-        "segments": [f"{scene}_vh_clean_2.0.010000.segs.json"],
-        "aggregation": [f"{scene}.aggregation.json", f"{scene}_vh_clean.aggregation.json"],
+    names = {
+        "mesh": f"{scene}_vh_clean_2.ply",
+        "labels": f"{scene}_vh_clean_2.labels.ply",
+        "segments": f"{scene}_vh_clean_2.0.010000.segs.json",
+        "aggregation": f"{scene}.aggregation.json",
     }
-    return {
-        kind: folder / name
-        for kind, names in candidates.items()
-        for name in reversed(names)
-        if (folder / name).is_file()
-    }
+    return {kind: folder / name for kind, name in names.items() if (folder / name).is_file()}
 
 
 def read_scene(folder: Path, label_map: LabelMap) -> Scene:
@@ -197,13 +196,23 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
 
 def _read_ply(path: Path) -> trimesh.Trimesh:
     try:
-        mesh = trimesh.load(path, file_type="ply", process=False)
+        content = path.read_bytes()
+        require_whole(content)
+        mesh = trimesh.load(io.BytesIO(content), file_type="ply", process=False)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from error
     except OSError as error:
         raise InputError(f"{path.name}: cannot be read: {error}") from error
     except Exception as error:  # a damaged file surfaces in the parser as almost anything
         raise InputError(f"{path.name}: damaged PLY ({type(error).__name__}: {error})") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.vertices) == 0:
         raise InputError(f"{path.name}: has no faces or no vertices, expected a triangle mesh")
+    outside = (mesh.faces < 0) | (mesh.faces >= len(mesh.vertices))
+    if outside.any():
+        raise InputError(
+            f"{path.name}: a face names vertex {mesh.faces[outside][0]}; the file's vertices are "
+            f"0 to {len(mesh.vertices) - 1}"
+        )
     return mesh
 
 
