@@ -68,6 +68,8 @@ class WholeOccluder:
     ) -> list[View | RejectedView]:
         """One view per pose; a mesh is sampled with the view's own generator."""
         is_mesh = isinstance(shape, trimesh.Trimesh)
+        # An instance has its own; a mesh's attribute of this name is trimesh's and something else.
+        symmetry = None if is_mesh else getattr(shape, "symmetry", None)
         views: list[View | RejectedView] = []
         for (rotation, translation), rng in zip(poses, rngs, strict=True):
             points = sample_surface(shape, self.samples, rng) if is_mesh else as_cloud(shape)
@@ -81,6 +83,7 @@ class WholeOccluder:
                     K=np.zeros((3, 3)),
                     visible_fraction=1.0,
                     n_visible=len(in_camera) if is_mesh else len(np.unique(points, axis=0)),
+                    symmetry=symmetry,
                 )
             )
         return views

@@ -73,6 +73,9 @@ class BuildPlan:
 
     def configuration(self) -> dict[str, Any]:
         """What decides the bytes of the folder, as JSON data."""
+        poses: dict[str, str] = {}
+        if self.job.setting != "partial" and hasattr(self.job.source, "poses"):
+            poses = {"poses": {"rotated": "sampled", "aligned": "canonical"}[self.job.setting]}
         return {
             "source": self.job.source.describe(),
             "source_frame": self.job.source.frame,
@@ -83,6 +86,9 @@ class BuildPlan:
             "seed": self.job.seed,
             "objects_per_class": self.objects_per_class,
             "rows_per_shard": self.rows_per_shard,
+            # In these settings a source's own poses are not asked for; folders of releases that
+            # did ask are not continued.
+            **poses,
         }
 
     def slices(self) -> Iterator[tuple[str, int, list[ObjectRef]]]:

@@ -1,4 +1,4 @@
-"""``CARD.md``: a page in every data folder that tells a person what it holds and how to cite it."""
+"""``CARD.md``: a page in every data folder that says what it holds and how it was made."""
 
 from __future__ import annotations
 

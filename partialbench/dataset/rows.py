@@ -7,7 +7,6 @@ set, split, object id, view, purpose).
 from __future__ import annotations
 
 import pickle
-import time
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -26,10 +25,13 @@ from partialbench.geometry.symmetry import symmetry_of
 ALIGNED_POSE = (np.eye(3), np.array([0.0, 0.0, 3.5]))
 """The pose of the setting "aligned": canonical orientation, at the middle of the paper's depths."""
 
+BROKEN_INPUT = (InputError, ArithmeticError, LookupError, OSError, ValueError, RuntimeError)
+"""The errors by which a damaged input shows itself: recorded, and the run goes on."""
+
 
 @dataclass(frozen=True)
 class Job:
-    """Everything a worker needs besides the object: picklable, sent once per process.
+    """Everything a worker needs besides the object: sent with every task, unpickled once a process.
 
     Attributes:
         dataset_id: enters the random keys.
@@ -56,35 +58,35 @@ class ObjectRows:
         columns: its rows (possibly none).
         source_sha256: digest of what it was made from, "" when it could not be read.
         failures: JSON records of what gave no row.
-        seconds: time spent in the worker.
     """
 
     object_id: str
     columns: Columns | None
     source_sha256: str = ""
     failures: list[dict[str, Any]] = field(default_factory=list)
-    seconds: float = 0.0
 
 
 def make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
     """Rows of one object. Never raises for what is wrong with the object: it is recorded."""
-    start = time.perf_counter()
     try:
-        result = _make_rows(job, ref)
-    except (InputError, ArithmeticError, LookupError, OSError, ValueError, RuntimeError) as error:
-        result = ObjectRows(ref.object_id, None, failures=[failure_record(ref, error)])
-    result.seconds = time.perf_counter() - start
-    return result
+        return _make_rows(job, ref)
+    except BROKEN_INPUT as error:
+        return ObjectRows(ref.object_id, None, failures=[failure_record(ref, error)])
 
 
 def failure_record(ref: ObjectRef, error: BaseException | str) -> dict[str, Any]:
     """The line of failures.jsonl for an object that an error stopped."""
-    reason = error if isinstance(error, str) else str(error) or repr(error)
-    kind = "" if isinstance(error, str | InputError) else f"{type(error).__name__}: "
     return {
         "kind": "failed", "split": ref.split, "object_id": ref.object_id,
-        "location": ref.location, "reason": kind + reason,
+        "location": ref.location,
+        "reason": error if isinstance(error, str) else reason_of(error),
     }  # fmt: skip
+
+
+def reason_of(error: BaseException) -> str:
+    """What an error says, with its type where it is none of ours."""
+    kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+    return kind + (str(error) or repr(error))
 
 
 def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
@@ -119,7 +121,8 @@ def _poses(
     if job.setting == "aligned":
         return [ALIGNED_POSE] * views
     rngs = [generator(job.seed, *key, v, "pose") for v in range(views)]
-    choose = getattr(job.source, "poses", None)
+    # "rotated" is about all of SO(3): where a person could stand does not bear on it.
+    choose = None if job.setting == "rotated" else getattr(job.source, "poses", None)
     return choose(shape, rngs) if choose else [sample_pose(rng) for rng in rngs]
 
 

@@ -2,7 +2,8 @@
 
     source.objects(split) → ObjectRef → source.load(ref) → shape → occluder.views(...) → View
 
-A source and an occluder are picklable: the builder sends them to its workers once.
+A source and an occluder are picklable: the builder pickles them once and sends that to its workers
+with every task.
 """
 
 from __future__ import annotations
@@ -92,7 +93,8 @@ class Source(Protocol):
 
     A source may also have ``poses(shape, rngs) -> list[(R_camera_object, t_camera_object)]``, one
     pose per generator: scanned scenes choose viewpoints where a person could stand. Without it the
-    builder draws the paper's poses (``geometry.camera.sample_pose``).
+    builder draws the paper's poses (``geometry.camera.sample_pose``), as it does for every source
+    in the setting "rotated".
 
     Attributes:
         class_names: label → name, in label order.

@@ -148,6 +148,15 @@ def test_damaged_models_say_why_and_spare_the_others(tmp_path, overrides, messag
     assert scene.models[1].problem == ""
 
 
+def test_a_model_that_is_no_object_spares_the_others(tmp_path):
+    entry = annotate("scene0001_00", [Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0, 0))])
+    entry["aligned_models"].append(None)
+    [scene] = read_annotations(write_annotations(tmp_path, [entry]))
+    assert [m.problem for m in scene.models] == [
+        "", "damaged annotation: the model is null, expected a JSON object",
+    ]  # fmt: skip
+
+
 def test_damaged_files(tmp_path):
     path = tmp_path / "full_annotations.json"
     with pytest.raises(InputError, match="--scan2cad"):

@@ -6,8 +6,12 @@ import pickle
 import numpy as np
 import pytest
 
+from partialbench.dataset.build import BuildPlan, build
 from partialbench.dataset.categories import PS15
+from partialbench.dataset.executors import InlineExecutor
+from partialbench.dataset.rows import Job
 from partialbench.dataset.seeding import generator
+from partialbench.dataset.shards import read_columns
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import geodesic_angle
@@ -16,6 +20,7 @@ from renderers.sources.scannet.filters import Rules
 from renderers.sources.scannet.instances import SECOND
 from renderers.sources.scannet.occluder import ScanHprOccluder
 from renderers.sources.scannet.source import NO_PLACE, ScanNetInstances, counts_table
+from renderers.whole import WholeOccluder
 from tests.scannet.scenes import (
     CHAIR,
     PRINTER,
@@ -168,6 +173,70 @@ def test_a_bad_scene_never_ends_the_run(tmp_path, things):
     assert "damaged annotation" in by_scene["scene0005_00"].reason
     failed = {scene for scene, r in by_scene.items() if r.failed}
     assert failed == {"scene0002_00", "scene0004_00", "scene0005_00"}
+
+
+@pytest.mark.parametrize("kind", ["", ".labels"])
+def test_a_face_without_its_vertex_is_one_scenes_failure(tmp_path, things, kind):
+    entries = [write_scene(tmp_path, f"scene000{i}_00", things) for i in (1, 2)]
+    write_annotations(tmp_path, entries)
+    path = tmp_path / "scans" / "scene0002_00" / f"scene0002_00_vh_clean_2{kind}.ply"
+    head, _, last = path.read_text().rstrip().rpartition("\n")
+    path.write_text(f"{head}\n3 0 1 999999\n")
+    assert last.startswith("3 ")
+    source = open_source(tmp_path)
+    assert {r.location for s in source.splits() for r in source.objects(s)} == {"scene0001_00"}
+    [failed] = [r for r in source.rejected if r.failed]
+    assert failed.object_id == "scene0002_00"
+    assert "a face names vertex 999999" in failed.reason
+
+
+def test_an_unforeseen_error_is_one_scenes_failure(tmp_path, things, monkeypatch):
+    entries = [write_scene(tmp_path, f"scene000{i}_00", things) for i in (1, 2)]
+    write_annotations(tmp_path, entries)
+    read = ScanNetInstances._read
+
+    def stumble(self, annotation):
+        if annotation.scene_id == "scene0002_00":
+            raise IndexError("index 7 is out of bounds")
+        return read(self, annotation)
+
+    monkeypatch.setattr(ScanNetInstances, "_read", stumble)
+    [failed] = [r for r in open_source(tmp_path).rejected if r.failed]
+    assert failed.reason == "IndexError: index 7 is out of bounds"
+
+
+def test_more_scenes_are_another_source(tmp_path, things):
+    """A folder of the first ones must not be continued, nor pass for one of all."""
+    entries = [write_scene(tmp_path, f"scene000{i}_00", things) for i in (1, 2)]
+    write_annotations(tmp_path, entries)
+    (tmp_path / "scans" / "scene0002_00").rename(tmp_path / "later")
+    before = open_source(tmp_path).describe()
+    (tmp_path / "later").rename(tmp_path / "scans" / "scene0002_00")
+    after = open_source(tmp_path).describe()
+    assert before["scenes"] == after["scenes"]
+    assert before != after
+    assert open_source(tmp_path).describe() == after
+
+
+def test_every_setting_keeps_the_instances_symmetry_and_rotated_has_all_rotations(tmp_path, things):
+    chair = Thing("chair", CHAIR, (0.5, 0.5, 0.8), (1.4, 1.1), sym="__SYM_ROTATE_UP_4")
+    write_annotations(tmp_path, [write_scene(tmp_path, "scene0001_00", [things[0], chair])])
+    source = open_source(tmp_path)
+    split = source.splits()[0]
+    rows = {}
+    for setting, occluder in (
+        ("partial", ScanHprOccluder()), ("rotated", WholeOccluder()), ("aligned", WholeOccluder()),
+    ):  # fmt: skip
+        out = tmp_path / setting
+        job = Job(source, occluder, "ps15", setting, {split: 40}, 64, 0)
+        build(BuildPlan(job, out, (split,)), InlineExecutor)
+        rows[setting] = read_columns(out / f"{split}-00000.h5")
+        of = dict(zip(rows[setting]["object_id"], rows[setting]["symmetry"], strict=True))
+        assert of == {b"scene0001_00/0": b"none", b"scene0001_00/1": b"z-90"}, setting
+    # Where the object's up points in the image: a person holds the camera upright (y is down).
+    up = {setting: r["R_camera_object"][:, 1, 2] for setting, r in rows.items()}
+    assert up["partial"].max() < -0.4
+    assert (up["rotated"] > 0).mean() == pytest.approx(0.5, abs=0.15)
 
 
 def test_nothing_at_all_is_an_error_that_says_why(scannet):

@@ -202,9 +202,12 @@ def _scene(entry: dict[str, Any]) -> SceneAnnotation:
 
 
 def _model(index: int, entry: dict[str, Any], M_scan_world: NDArray) -> AlignedModel:
-    catid, cad_id = str(entry.get("catid_cad", "")), str(entry.get("id_cad", ""))
+    catid = cad_id = ""
     nothing = np.full(3, np.nan)
     try:
+        if not isinstance(entry, dict):
+            raise InputError(f"the model is {json.dumps(entry)[:40]}, expected a JSON object")
+        catid, cad_id = str(entry.get("catid_cad", "")), str(entry.get("id_cad", ""))
         matrix = portable.product(M_scan_world, trs_matrix(entry.get("trs", {})))
         centre = np.asarray(entry["center"], np.float64)
         half_extent = np.asarray(entry["bbox"], np.float64)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset.categories import PS15
+from partialbench.dataset.rows import BROKEN_INPUT, reason_of
 from partialbench.dataset.shards import file_sha256
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError
@@ -224,8 +225,13 @@ class ScanNetInstances:
         return poses
 
     def describe(self) -> dict[str, Any]:
-        """The options and what the annotations and the label map say, as digests."""
+        """The options; digests of the annotations, the label map and what is listed."""
         assert self.label_map is not None
+        listing = [
+            (ref.split, ref.object_id, ref.label)
+            for split in ("train", "test")
+            for ref in self.objects(split)
+        ]
         return {
             "name": self.name,
             "viewpoints": self.viewpoints,
@@ -234,6 +240,8 @@ class ScanNetInstances:
             "label_map": file_sha256(self.label_map),
             "split": "sha256(space) < 0.8" if self._splits is None else dict(self._splits),
             "scenes": len(self._list()),
+            # Scenes downloaded later, or mended, are another data set, not the rest of this one.
+            "listing_sha256": hashlib.sha256(json.dumps(listing).encode()).hexdigest(),
         }
 
     def counts(self) -> dict[str, dict[str, int]]:
@@ -279,8 +287,8 @@ class ScanNetInstances:
             return _Listed((), ((scene_id, annotation.problem, {}, True),), {})
         try:
             found, rejected, notes = self._read(annotation)
-        except InputError as error:
-            return _Listed((), ((scene_id, str(error), {}, True),), {})
+        except BROKEN_INPUT as error:
+            return _Listed((), ((scene_id, reason_of(error), {}, True),), {})
         return _Listed(
             tuple((index, instance.class_name) for index, instance in found.items()),
             tuple((f"{scene_id}/{i}", reason, details, False) for i, reason, details in rejected),
