@@ -16,6 +16,7 @@ from partialbench.benchmark.predictions import Predictions
 from partialbench.benchmark.results import Result
 from partialbench.benchmark.uncertainty import (
     bootstrap_intervals,
+    flips_for,
     holm,
     indistinguishable_groups,
     paired_p_values,
@@ -34,7 +35,8 @@ class Comparison:
             bounds where the test set is a single object.
         groups: row → numbers, from 1, of the groups it is in: two rows that share none differ at
             the level 0.05 (paired test over objects, Holm over all pairs of the column).
-        p_values: (row, row) in rank order → Holm-adjusted p.
+        p_values: (row, row) in rank order → Holm-adjusted p. The smallest there can be is a tenth
+            of the level or less: no flip of signs reached the difference that was seen.
         differences: (row, row) in rank order → by how much the first is more accurate, with the
             bounds of its 95 % interval, bootstrap over objects with both rows resampled alike.
     """
@@ -55,8 +57,8 @@ def compare(column: Column, folder: Path) -> Comparison:
     names = ranked(column)
     values, object_ids = _correct(column, names, folder)
     bounds = bootstrap_intervals(values, object_ids)
-    raw = paired_p_values(values, object_ids)
     first, second = np.triu_indices(len(names), 1)
+    raw = paired_p_values(values, object_ids, flips_for(len(first), LEVEL))
     adjusted = holm(raw[first, second].tolist())
     different = np.zeros(raw.shape, bool)
     different[first, second] = different[second, first] = np.array(adjusted) <= LEVEL

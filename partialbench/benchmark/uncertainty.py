@@ -7,6 +7,7 @@ other test objects; how training itself varies is the standard deviation over se
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ from partialbench.dataset.seeding import generator
 
 RESAMPLES = 2_000
 FLIPS = 10_000
+"""At least. Where many pairs are compared there are more: ``flips_for``."""
 _CHUNK = 1_000
 
 
@@ -75,6 +77,14 @@ def bootstrap_intervals(
     )
     tail = 50 * (1 - confidence)
     return np.percentile(means, [tail, 100 - tail], axis=0).T
+
+
+def flips_for(pairs: int, level: float) -> int:
+    """Flips after which the smallest p of so many pairs, times ``pairs``, is a tenth of the level.
+
+    With fewer the correction for many pairs could find no difference, however large it is.
+    """
+    return max(FLIPS, math.ceil(10 * pairs / level))
 
 
 def paired_p_value(

@@ -10,6 +10,7 @@ from scipy import stats
 
 from partialbench.benchmark.uncertainty import (
     bootstrap_intervals,
+    flips_for,
     holm,
     indistinguishable_groups,
     paired_p_value,
@@ -85,6 +86,17 @@ def test_a_matrix_of_tests_is_the_tests_of_its_pairs(rng):
     assert np.array_equal(matrix, matrix.T)
     assert np.diag(matrix).tolist() == [1, 1, 1]
     assert matrix[0, 2] == paired_p_value(values[:, 0], values[:, 2], ids)
+
+
+@pytest.mark.parametrize("rows", [2, 33, 60])
+def test_many_pairs_do_not_hide_a_difference(rng, rows):
+    """The smallest p, times the number of pairs, must stay below the level."""
+    pairs = rows * (rows - 1) // 2
+    least = 1 / (1 + flips_for(pairs, 0.05))
+    assert pairs * least <= 0.05 / 10
+    values = np.stack([np.ones(40), np.zeros(40)], axis=1)
+    p = paired_p_values(values, np.arange(40), flips_for(pairs, 0.05))[0, 1]
+    assert holm([p] + [1.0] * (pairs - 1))[0] <= 0.05 / 10
 
 
 def test_holm_by_hand_and_beside_scipy():
