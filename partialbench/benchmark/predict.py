@@ -125,9 +125,10 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path} cannot be read: {error}") from error
-    if (array.ndim == 2 and array.shape[1] not in (3, 4, 6)) or kind in (".png", ".tif", ".tiff"):
+    is_image = kind in (".png", ".tif", ".tiff")
+    if is_image or (kind == ".npy" and array.ndim == 2 and array.shape[1] not in (3, 4, 6)):
         points = _from_depth(path, array, K, depth_scale)
-    elif array.ndim == 2:
+    elif array.ndim == 2 and array.shape[1] >= 3:
         points = array[:, :3]  # further columns are colours, normals or intensity
     else:
         raise InputError(f"{path} has shape {array.shape}; expected (N,3) points or (H,W) depth")

@@ -61,6 +61,7 @@ def test_a_depth_image_is_the_cloud_it_was_made_from(weights, tmp_path):
         ("a.xyz", "1 2 3\n4 x 6\n", "cannot be read"),
         ("a.xyz", "1 2 3\n4 5 6\n", "2 finite points, at least 16"),
         ("a.xyz", "nan nan nan\n" * 20, "0 finite points"),
+        ("a.xyz", "1 2\n" * 20, r"shape \(20, 2\); expected \(N,3\) points"),
         ("a.obj", "v 0 0 0", ".obj is not read"),
         ("a.ply", "ply", "cannot be read|holds no points"),
     ],
@@ -69,6 +70,15 @@ def test_a_file_that_is_no_cloud_says_so(weights, tmp_path, name, content, messa
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message):
         predict(weights, tmp_path / name)
+
+
+def test_a_text_of_more_columns_is_a_cloud_whatever_they_are(weights, tmp_path, rng):
+    points = rng.standard_normal((40, 9))
+    np.savetxt(tmp_path / "scan.txt", points)
+    np.savetxt(tmp_path / "bare.txt", points[:, :3])
+    wide, bare = (predict(weights, tmp_path / name) for name in ("scan.txt", "bare.txt"))
+    assert wide.points_given == 40
+    assert wide.top == bare.top
 
 
 def test_a_depth_image_needs_intrinsics_that_make_sense(weights, tmp_path):
