@@ -8,7 +8,8 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib
-from collections.abc import Iterable, Mapping
+import inspect
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -217,9 +218,29 @@ def create(name: str, num_classes: int, **options: Any) -> nn.Module:
         factory may return a module with bare (B,K) logits.
     """
     if num_classes < 2:
-        raise ValueError(f"num_classes must be at least 2, got {num_classes}")
-    entry = name if ":" in name else card(name).entry
-    return load(entry)(num_classes, **options)
+        raise InputError(f"a classifier needs two classes or more, got {num_classes}")
+    factory = load(name if ":" in name else card(name).entry)
+    if not callable(factory):
+        raise InputError(
+            f"{name} is a {type(factory).__name__}; expected something to call as "
+            f"factory(num_classes) that returns the model"
+        )
+    _require_taken(name, factory, options)
+    return factory(num_classes, **options)
+
+
+def _require_taken(name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    """Raises ``InputError`` for options that the factory has no parameter for."""
+    try:
+        parameters = inspect.signature(factory).parameters.values()
+    except ValueError:  # a builtin says nothing about itself
+        return
+    if any(p.kind is p.VAR_KEYWORD for p in parameters):
+        return
+    known = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    for option in options:
+        if option not in known[1:]:
+            raise InputError(f"{name} has no option {option!r}{close_matches(option, known[1:])}")
 
 
 def load_published(name: str, state: Mapping[str, Any], num_classes: int) -> nn.Module:

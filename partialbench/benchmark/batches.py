@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol import Protocol
 from partialbench.dataset.seeding import generator
+from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
 from partialbench.geometry.symmetry import GROUPS, map_rotation
 
@@ -98,9 +99,12 @@ class BatchStream:
         self.batch_size = min(batch_size, len(rows))
         self.rank, self.world = rank, world
         if self.batch_size < 2:
-            raise ValueError(f"training needs batches of 2 clouds or more, got {self.batch_size}")
+            raise InputError(
+                f"training needs batches of 2 clouds or more, got batches of {batch_size} from "
+                f"{len(rows)} clouds"
+            )
         if self.batch_size % world:
-            raise ValueError(
+            raise InputError(
                 f"a batch of {self.batch_size} clouds cannot be shared evenly by {world} processes"
             )
         self.turns = protocol.rotation == "so3" and dataset.setting != "aligned"

@@ -31,6 +31,16 @@ _ADDED = {"subset": "stored"}
 a field does not enter the digest, so that their columns stand."""
 
 
+_COUNTS = (
+    "num_points", "clouds_seen", "epochs", "max_train_clouds", "max_test_clouds", "split_seed"
+)  # fmt: skip
+_OPTIONAL = ("epochs", "max_train_clouds", "max_test_clouds")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
 @dataclass(frozen=True)
 class Protocol:
     """What is the same for every model of a column.
@@ -69,10 +79,22 @@ class Protocol:
     subset: str = "stored"
 
     def __post_init__(self) -> None:
-        for name in ("num_points", "clouds_seen", "epochs", "max_train_clouds", "max_test_clouds"):
+        # One kind for each number: 0 and 0.0 are one protocol, and are to have one digest.
+        for name in _COUNTS:
             value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or value != int(value) or value < 1):
-                raise InputError(f"{name} must be a positive whole number, got {value!r}")
+            if value is None and name in _OPTIONAL:
+                continue
+            least, kind = (
+                (0, "whole number") if name == "split_seed" else (1, "positive whole number")
+            )
+            if not _is_number(value) or value != int(value) or value < least:
+                raise InputError(f"{name} must be a {kind}, got {value!r}")
+            object.__setattr__(self, name, int(value))
+        for name in ("validation_fraction", "jitter_sigma", "jitter_clip"):
+            value = getattr(self, name)
+            if not _is_number(value):
+                raise InputError(f"{name} must be a number, got {value!r}")
+            object.__setattr__(self, name, float(value))
         if not 0 <= self.validation_fraction < 1:
             raise InputError(
                 f"validation_fraction must be in [0, 1), got {self.validation_fraction!r}"
@@ -156,7 +178,8 @@ PRESETS: dict[str, Protocol] = {
 
 
 def protocol(preset: str, /, **overrides: Any) -> Protocol:
-    """A preset, with fields overridden. Overriding makes another protocol with its own digest.
+    """A preset, with fields overridden. Overriding makes another protocol with its own digest, but
+    where it makes a preset, that one.
 
     Raises:
         InputError: unknown preset or field (with close matches), or a value out of range.
@@ -168,10 +191,11 @@ def protocol(preset: str, /, **overrides: Any) -> Protocol:
     for name in overrides:
         if name not in known:
             raise InputError(f"the protocol has no field {name!r}{close_matches(name, known)}")
-    changed = {k: v for k, v in overrides.items() if v != getattr(chosen, k)}
-    if not changed:
-        return chosen
-    return dataclasses.replace(chosen, preset=f"{preset}+", **changed)
+    changed = dataclasses.replace(chosen, preset=f"{preset}+", **overrides)
+    for same in (chosen, *PRESETS.values()):
+        if same.digest == changed.digest:
+            return same
+    return changed
 
 
 def from_dict(fields: dict[str, Any]) -> Protocol:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -12,6 +13,7 @@ from torch.optim import Optimizer
 
 from partialbench.benchmark.muon import Muon
 from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.schedule import check as check_schedule
 from partialbench.errors import InputError
 from partialbench.registry import SHORT_RECIPE, ModelCard, Recipe, close_matches
 
@@ -53,12 +55,64 @@ def of_protocol(card: ModelCard, protocol: Protocol) -> Recipe:
 
 
 def override(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
-    """The recipe with fields changed; an unknown field raises ``InputError``."""
+    """The recipe with fields changed.
+
+    Raises:
+        InputError: an unknown field, or a value with which it cannot train.
+    """
     known = [f.name for f in dataclasses.fields(Recipe)]
     for name in changes:
         if name not in known:
             raise InputError(f"a recipe has no field {name!r}{close_matches(name, known)}")
-    return dataclasses.replace(recipe, **changes)
+    changed = dataclasses.replace(
+        recipe, **{name: _checked(name, value) for name, value in changes.items()}
+    )
+    if changes:
+        check_schedule(changed)
+    return changed
+
+
+def changes(own: Recipe, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """What of ``wanted`` differs from a model's own recipe: the rest makes no other row."""
+    fields = as_dict(override(own, wanted))
+    before = as_dict(own)
+    return {name: fields[name] for name in wanted if fields[name] != before[name]}
+
+
+_NUMBERS: dict[str, tuple[str, Callable[[float], bool]]] = {
+    "lr": ("a number, not negative", lambda v: v >= 0),
+    "weight_decay": ("a number, not negative", lambda v: v >= 0),
+    "momentum": ("a number in [0, 1)", lambda v: 0 <= v < 1),
+    "label_smoothing": ("a number in [0, 1)", lambda v: 0 <= v < 1),
+    "clip_norm": ("a positive number or null", lambda v: v > 0),
+    "batch_size": ("a whole number, 2 or more", lambda v: v >= 2 and v == int(v)),
+    "epochs": ("a positive whole number", lambda v: v >= 1 and v == int(v)),
+}
+
+
+def _checked(name: str, value: Any) -> Any:
+    """The value of a recipe's field as what it should be; a number may come as another kind."""
+    if name in _NUMBERS:
+        expected, fits = _NUMBERS[name]
+        if value is None and name == "clip_norm":
+            return None
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+            or not fits(value)
+        ):
+            raise InputError(f"{name} of a recipe must be {expected}, got {value!r}")
+        return int(value) if name in ("batch_size", "epochs") else float(value)
+    if name == "optimizer" and value not in OPTIMIZERS:
+        raise InputError(f"no optimizer named {value!r}{close_matches(str(value), OPTIMIZERS)}")
+    kinds = {"schedule_options": Mapping, "smoothing_over_others": bool}
+    kind = kinds.get(name, str)
+    if not isinstance(value, kind):
+        raise InputError(
+            f"{name} of a recipe must be of type {kind.__name__.lower()}, got {value!r}"
+        )
+    return value
 
 
 def as_dict(recipe: Recipe) -> dict[str, Any]:
@@ -74,16 +128,17 @@ def as_dict(recipe: Recipe) -> dict[str, Any]:
 def deviations(published: Recipe, used: Recipe, protocol: Protocol, train_clouds: int) -> list[str]:
     """What this run changes about the published recipe, one sentence a change."""
     before, after = as_dict(published), as_dict(used)
+    # How many epochs there are the protocol says too, and it has the last word.
     changes = [
         f"{name} {after[name]!r} instead of {before[name]!r}"
         for name in before
-        if after[name] != before[name]
+        if after[name] != before[name] and name != "epochs"
     ]
     epochs = protocol.num_epochs(used, train_clouds)
-    if epochs != used.epochs:
+    if epochs != published.epochs:
         changes.append(
-            f"{epochs} epochs of {train_clouds:,} clouds instead of {used.epochs} published "
-            f"epochs; the schedule is scaled to that length"
+            f"{epochs} epochs of {train_clouds:,} clouds instead of {published.epochs} epochs; the "
+            f"schedule is scaled to that length"
         )
     if used.batch_size > train_clouds:
         changes.append(f"batches of {train_clouds} clouds, all there are, not {used.batch_size}")

@@ -39,6 +39,32 @@ _OPTIONS = {
 }
 
 
+_NEEDED = {"step": {"gamma"}, "plateau": {"factor", "patience"}}
+
+
+def check(recipe: Recipe) -> None:
+    """Raises ``InputError`` for a schedule there is not, or an option too many or too few."""
+    if recipe.schedule not in _OPTIONS:
+        raise InputError(
+            f"no schedule named {recipe.schedule!r}{close_matches(recipe.schedule, _OPTIONS)}"
+        )
+    known = _OPTIONS[recipe.schedule] | {"bn_momentum"}
+    for option in recipe.schedule_options:
+        if option not in known:
+            raise InputError(
+                f"schedule {recipe.schedule!r} has no option {option!r}"
+                f"{close_matches(option, known)}"
+            )
+    missing = sorted(_NEEDED.get(recipe.schedule, set()) - set(recipe.schedule_options))
+    if missing:
+        raise InputError(
+            f"schedule {recipe.schedule!r} needs {', '.join(missing)}; give "
+            f'schedule_options={{"{missing[0]}":…}} with it'
+        )
+    if recipe.schedule == "step":
+        staircase(0.0, recipe.schedule_options)
+
+
 def staircase(epoch: float, options: Mapping[str, Any]) -> int:
     """How many steps a staircase has taken at the (fractional) published epoch."""
     # A hair is added so that a boundary hit exactly does not fall short by a rounding error.
@@ -90,17 +116,7 @@ class Schedule:
     """
 
     def __init__(self, recipe: Recipe, epochs: int) -> None:
-        if recipe.schedule not in _OPTIONS:
-            raise InputError(
-                f"no schedule named {recipe.schedule!r}{close_matches(recipe.schedule, _OPTIONS)}"
-            )
-        known = _OPTIONS[recipe.schedule] | {"bn_momentum"}
-        for option in recipe.schedule_options:
-            if option not in known:
-                raise InputError(
-                    f"schedule {recipe.schedule!r} has no option {option!r}"
-                    f"{close_matches(option, known)}"
-                )
+        check(recipe)
         self.recipe = recipe
         self.patience = 0
         if recipe.schedule == "plateau":

@@ -47,12 +47,26 @@ def test_an_override_is_another_protocol_and_one_that_changes_nothing_is_not():
     assert from_dict(changed.as_dict()) == changed
 
 
+def test_a_number_written_otherwise_is_the_same_protocol():
+    assert protocol("small", subset="distinct", jitter_sigma=0) is PRESETS["equal"]
+    assert protocol("mini", clouds_seen=1e6).digest == protocol("mini", clouds_seen=10**6).digest
+    assert protocol("mini", epochs=8.0).epochs.__class__ is int
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
         (lambda: protocol("smok"), "did you mean smoke"),
         (lambda: protocol("smoke", epoch=3), "did you mean epochs"),
         (lambda: protocol("smoke", epochs=0), "epochs must be a positive whole number, got 0"),
+        (
+            lambda: protocol("smoke", epochs="two"),
+            "epochs must be a positive whole number, got 'two",
+        ),
+        (lambda: protocol("smoke", num_points=None), "num_points must be a positive whole number"),
+        (lambda: protocol("smoke", clouds_seen=1.5), "clouds_seen must be a positive whole number"),
+        (lambda: protocol("smoke", split_seed=-1), "split_seed must be a whole number, got -1"),
+        (lambda: protocol("smoke", jitter_clip="x"), "jitter_clip must be a number, got 'x'"),
         (lambda: protocol("smoke", rotation="z"), "rotation must be 'so3' or 'none', got 'z'"),
         (lambda: protocol("smoke", validation_fraction=1.0), "validation_fraction"),
         (
@@ -255,8 +269,15 @@ def test_deviations_are_told_in_words():
     used = recipes.override(card, {"lr": 0.01})
     told = " | ".join(recipes.deviations(card, used, Protocol("x", clouds_seen=100), 20))
     assert "lr 0.01 instead of 0.001" in told
-    assert "5 epochs of 20 clouds instead of 250 published epochs" in told
+    assert "5 epochs of 20 clouds instead of 250 epochs; the schedule" in told
     assert "batches of 20 clouds" in told
+    # What a short recipe says of epochs is neither published nor what was run.
+    short = recipes.deviations(
+        card, dataclasses.replace(card, epochs=1), Protocol("x", epochs=8), 64
+    )
+    assert [line for line in short if "epochs" in line] == [
+        "8 epochs of 64 clouds instead of 250 epochs; the schedule is scaled to that length"
+    ]
     unchanged = recipes.deviations(card, card, Protocol("x", epochs=250), 64)
     assert len(unchanged) == 1
     assert "augmentation" in unchanged[0]
