@@ -28,6 +28,19 @@ def pairs(given: list[str] | None) -> dict[str, Any]:
     return parsed
 
 
+def parts(text: str) -> list[str]:
+    """``"lr=0.01,schedule_options={"a":1,"b":2}"`` at the commas outside brackets and quotes."""
+    found, depth, quoted = [""], 0, False
+    for sign in text:
+        quoted ^= sign == '"'
+        depth += 0 if quoted else (sign in "[{") - (sign in "]}")
+        if sign == "," and not quoted and depth == 0:
+            found.append("")
+        else:
+            found[-1] += sign
+    return found
+
+
 def numbers(text: str, count: int, option: str) -> list[float]:
     """``count`` numbers separated by commas; ``option`` is named in the error."""
     try:

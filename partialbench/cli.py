@@ -100,7 +100,8 @@ def evaluate(
         Path | None, typer.Option(help="another data folder to test on as well")
     ] = None,
     checkpoint: Annotated[
-        Path | None, typer.Option(help="test these weights instead of training")
+        Path | None,
+        typer.Option(help="test these weights instead of training, by the protocol they have"),
     ] = None,
     start_from: Annotated[
         Path | None, typer.Option(help="fine-tune: begin from the weights of this checkpoint")
@@ -191,11 +192,12 @@ def tune(
     from partialbench.benchmark.trials import FILE
     from partialbench.benchmark.tune import tune as compare
 
+    recipes = [arguments.pairs(arguments.parts(one)) for one in tries]
     with continued_by("the same command"):
         trials = compare(
-            model, data, [arguments.pairs(one.split(",")) for one in tries], preset.value, seed,
-            device, results, start_from=start_from, precision=precision,
-            options=arguments.pairs(option), protocol=arguments.pairs(protocol),
+            model, data, recipes, preset.value, seed, device, results, start_from=start_from,
+            precision=precision, options=arguments.pairs(option),
+            protocol=arguments.pairs(protocol),
         )  # fmt: skip
     lines = [f"{t.validation_accuracy:6.1%}  {t.recipe}" for t in trials]
     print_result(

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from partialbench.arguments import parts
+
 RENDER = ("render", "pm40", "--views", "2", "--points", "64", "--resolution", "32")
 
 
@@ -195,3 +197,16 @@ def test_eval_predict_and_leaderboard_form_a_chain(rendered, tmp_path):
     run = partialbench("predict", "capture.npy", "--checkpoint", checkpoint, "--json",
                        cwd=tmp_path, check=0)  # fmt: skip
     assert json.loads(run.stdout)["class"] in ("crate", "tin")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("lr=0.01", ["lr=0.01"]),
+        ("lr=0.01,batch_size=16", ["lr=0.01", "batch_size=16"]),
+        ('a={"b":[1,2],"c":3},d=4', ['a={"b":[1,2],"c":3}', "d=4"]),
+        ('a="x,y",b=1', ['a="x,y"', "b=1"]),
+    ],
+)
+def test_a_trial_is_cut_at_the_commas_between_its_fields(text, expected):
+    assert parts(text) == expected
