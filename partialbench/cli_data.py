@@ -106,6 +106,9 @@ def render(
     allow_failures: Annotated[
         bool, typer.Option(help="exit 0 even if some inputs were broken")
     ] = False,
+    retry_failed: Annotated[
+        bool, typer.Option(help="make the shards anew in which an input failed, once it is mended")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
@@ -139,7 +142,7 @@ def render(
         seed=seed,
         rows_per_shard=rows_per_shard,
     )  # fmt: skip
-    manifest = _build(plan, workers, scheduler)
+    manifest = _build(plan, workers, scheduler, retry_failed)
     kinds = Counter(f["kind"] for f in manifest.failures)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
     print_result(
@@ -156,11 +159,12 @@ def render(
     if kinds["failed"] and not allow_failures:
         raise PartialbenchError(
             f"{kinds['failed']} input(s) could not be used; {out / 'failures.jsonl'} has the "
-            f"reasons. The rest is complete; accept that with --allow-failures"
+            f"reasons. The rest is complete: accept that with --allow-failures, or mend them and "
+            f"run the same command with --retry-failed"
         )
 
 
-def _build(plan: Any, workers: int, scheduler: str | None) -> Any:
+def _build(plan: Any, workers: int, scheduler: str | None, retry_failed: bool) -> Any:
     """Run a plan with a progress bar on stderr."""
     from partialbench.dataset.build import build
     from partialbench.dataset.executors import dask_cluster, process_pool
@@ -175,7 +179,7 @@ def _build(plan: Any, workers: int, scheduler: str | None) -> Any:
         return dask_cluster(scheduler) if scheduler else process_pool(workers)
 
     with continued_by("the same command"), build_bar(stderr) as on_progress:
-        return build(plan, make_executor, workers, on_progress)
+        return build(plan, make_executor, workers, on_progress, retry_failed)
 
 
 @commands.command(epilog="Example: `partialbench verify data/pm40 --source ModelNet40.zip`")

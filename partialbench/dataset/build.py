@@ -127,6 +127,7 @@ def build(
     make_executor: Callable[[], Executor] | None = None,
     workers: int = 1,
     on_progress: Callable[[Progress], None] | None = None,
+    retry_failed: bool = False,
 ) -> Manifest:
     """Make the folder, or continue it where it stopped.
 
@@ -136,6 +137,8 @@ def build(
             is called again if a worker dies, so that one crashing object cannot end the run.
         workers: how many tasks the executor runs at once.
         on_progress: called after every object.
+        retry_failed: make anew the shards in which an object failed, once its input is mended; what
+            a rule turned away stays as it is.
 
     Returns:
         The manifest of the complete folder. What gave no row is in ``manifest.failures``.
@@ -161,7 +164,7 @@ def build(
         versions=manifests.versions(),
     )  # fmt: skip
     with _sole_user(plan.out):
-        manifest = _begin_or_continue(plan.out, wanted)
+        manifest = _begin_or_continue(plan.out, wanted, retry_failed)
         if manifest.state == "complete":
             return manifest
         _build_missing(plan, manifest, slices, make_executor, workers, on_progress)
@@ -211,18 +214,28 @@ def _sole_user(out: Path) -> Iterator[None]:
         yield
 
 
-def _begin_or_continue(out: Path, wanted: Manifest) -> Manifest:
+def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manifest:
     if (out / manifests.NAME).exists():
         existing = manifests.load(out)
         manifests.require_same(existing, wanted, out)
         # A killed run may have left a temporary file; under its final name nothing is ever partial.
         for leftover in out.glob(f".*{TEMPORARY_SUFFIX}"):
             leftover.unlink()
-        kept = [e for e in existing.shards if not e.rows or (out / e.file).is_file()]
-        if len(kept) < len(existing.shards):  # a shard was deleted: make it anew
-            existing.shards, existing.state = kept, "building"
+        kept = [
+            entry
+            for entry in existing.shards
+            if (not entry.rows or (out / entry.file).is_file())
+            and not (retry_failed and any(f["kind"] == "failed" for f in entry.failures))
+        ]
+        if len(kept) < len(existing.shards):  # a shard was deleted or is wanted anew
+            existing.shards, existing.state, existing.digests = kept, "building", {}
+            existing.listing_failures = wanted.listing_failures
+            # Before a file is replaced: the manifest never vouches for bytes it has not seen.
+            existing.save(out)
         return existing
-    foreign = sorted(p.name for p in out.iterdir() if p.name != ".lock")
+    # A run that could not write its first manifest leaves a list of failures, and a lock.
+    own = (".lock", manifests.FAILURES)
+    foreign = sorted(p.name for p in out.iterdir() if p.name not in own)
     if foreign and not all(name.endswith(TEMPORARY_SUFFIX) for name in foreign):
         raise PartialbenchError(
             f"{out} is not empty and not a data folder (it has {', '.join(foreign[:5])}); "
@@ -333,6 +346,8 @@ def _write_shard(
     kept = [result for result in made if result.columns is not None]
     name = f"{split}-{index:05d}.h5"
     if not kept:
+        # A shard made anew may have had rows before.
+        (plan.out / name).unlink(missing_ok=True)
         return ShardEntry("", split, index, 0, len(made), 0, "", failures)
     columns = concatenate([result.columns for result in kept if result.columns is not None])
     objects: Columns = {
@@ -359,10 +374,12 @@ def _write_shard(
 def _finish(out: Path, manifest: Manifest) -> None:
     for split in manifest.splits():
         if manifest.rows(split) == 0:
-            first = next((f["reason"] for f in manifest.failures if f["split"] == split), "")
+            lost = [f for f in manifest.failures if f["split"] == split]
+            again = ". Once the inputs are mended, run the same command with --retry-failed"
             raise InputError(
-                f"no object of split {split!r} gave a row; see {out / 'failures.jsonl'}"
-                + (f". The first reason: {first}" if first else "")
+                f"no object of split {split!r} gave a row; see {out / manifests.FAILURES}"
+                + (f". The first reason: {lost[0]['reason']}" if lost else "")
+                + (again if any(f["kind"] == "failed" for f in lost) else "")
             )
         manifest.digests[split] = content_digest(
             read_columns(out / entry.file, ["row_sha256"])["row_sha256"]

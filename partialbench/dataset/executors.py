@@ -20,7 +20,7 @@ from typing import Any
 from partialbench.errors import InputError
 
 # Numerical libraries read these when they load: one thread a process, or W workers would run W²
-# threads. Set in the worker before anything is imported there.
+# threads. Set before a worker starts, which imports them at once.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -73,6 +73,19 @@ def _interrupts_held_back() -> Iterator[None]:
                 handler(*arrived[0])
 
 
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started within the block compute on one thread, where the user did not say more."""
+    added = [name for name in _ONE_THREAD if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, "1"))
+    try:
+        yield
+    finally:
+        # This process has its own use for all threads: what it trains on the data, for one.
+        for name in added:
+            os.environ.pop(name, None)
+
+
 class _Pool(ProcessPoolExecutor):
     """Starts its workers undisturbed, which it does when there is work for them.
 
@@ -81,7 +94,7 @@ class _Pool(ProcessPoolExecutor):
     """
 
     def submit(self, fn: Callable, /, *args: Any, **kwargs: Any) -> Future:
-        with _interrupts_held_back():
+        with _interrupts_held_back(), _one_thread_each():
             return super().submit(fn, *args, **kwargs)
 
 
@@ -92,8 +105,6 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
     """
     if workers < 1:
         raise InputError(f"--workers must be at least 1, got {workers}")
-    for name in _ONE_THREAD:
-        os.environ.setdefault(name, "1")
     return _Pool(
         workers,
         mp_context=multiprocessing.get_context("spawn"),

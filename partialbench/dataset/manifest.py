@@ -15,7 +15,7 @@ from partialbench.dataset.schema import FORMAT, FORMAT_VERSION
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import ConfigurationMismatchError, InputError
 
-NAME = "manifest.json"
+NAME, FAILURES = "manifest.json", "failures.jsonl"
 
 
 @dataclass
@@ -100,7 +100,7 @@ class Manifest:
             **asdict(self),
         }
         lines = "".join(json.dumps(f, sort_keys=True) + "\n" for f in self.failures)
-        write_atomically(folder / "failures.jsonl", lines.encode())
+        write_atomically(folder / FAILURES, lines.encode())
         write_atomically(folder / NAME, (json.dumps(data, indent=1) + "\n").encode())
 
 
@@ -133,7 +133,7 @@ def load(folder: Path) -> Manifest:
         recorded = data["configuration_digest"]
         fields = {k: data[k] for k in Manifest.__dataclass_fields__ if k != "shards"}
         manifest = Manifest(**fields, shards=[ShardEntry(**entry) for entry in data["shards"]])
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is damaged ({type(error).__name__}: {error})") from error
     if manifest.configuration_digest != recorded:
         raise InputError(
@@ -147,19 +147,29 @@ def require_same(existing: Manifest, wanted: Manifest, folder: Path) -> None:
     """Raise ``ConfigurationMismatchError`` naming each setting in which the folder differs."""
     if existing.configuration_digest == wanted.configuration_digest:
         return
-    old = {"dataset_id": existing.dataset_id, **_flat(existing.configuration)}
-    new = {"dataset_id": wanted.dataset_id, **_flat(wanted.configuration)}
+    old = {"dataset_id": existing.dataset_id, **existing.configuration}
+    new = {"dataset_id": wanted.dataset_id, **wanted.configuration}
     if existing.class_names != wanted.class_names:
         old["class_names"], new["class_names"] = existing.class_names, wanted.class_names
-    differences = [
-        f"  {key}: folder has {old.get(key, '(absent)')!r}, asked for {new.get(key, '(absent)')!r}"
-        for key in sorted(old.keys() | new.keys())
-        if old.get(key, "(absent)") != new.get(key, "(absent)")
+    lines = [
+        f"  {key}: folder has {there!r}, asked for {asked!r}"
+        for key, there, asked in differences(old, new)
     ]
     raise ConfigurationMismatchError(
-        f"{folder} was made with another configuration:\n" + "\n".join(differences) + "\n"
+        f"{folder} was made with another configuration:\n" + "\n".join(lines) + "\n"
         "Choose another --out, or give the same options to continue it"
     )
+
+
+def differences(old: dict[str, Any], new: dict[str, Any]) -> list[tuple[str, Any, Any]]:
+    """(dotted key, old value, new value) of each setting in which two configurations differ."""
+    before, after = _flat(old), _flat(new)
+    absent = "(absent)"
+    return [
+        (key, before.get(key, absent), after.get(key, absent))
+        for key in sorted(before.keys() | after.keys())
+        if before.get(key, absent) != after.get(key, absent)
+    ]
 
 
 def _flat(data: Any, prefix: str = "") -> dict[str, Any]:

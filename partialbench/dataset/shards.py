@@ -7,6 +7,7 @@ name, flushed to disk and renamed: under its final name it is always whole.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 from collections.abc import Iterable, Mapping
@@ -102,7 +103,8 @@ def write_atomically(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where the folder itself is what is wrong
+            temporary.unlink(missing_ok=True)
         raise PartialbenchError(
             f"could not write {path.name} ({len(data) / 2**20:.1f} MiB) in {path.parent}: "
             f"{error.strerror or error}. What was finished before is kept; free some space or fix "

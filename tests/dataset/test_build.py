@@ -215,6 +215,63 @@ def test_a_full_disk_loses_nothing_that_was_finished(tmp_path, reference):
     assert contents(out) == reference
 
 
+def test_a_disk_full_from_the_start_leaves_a_folder_that_can_be_continued(
+    tmp_path, reference, monkeypatch
+):
+    def refuse(path, data):
+        if data:
+            raise PartialbenchError(f"could not write {path.name}")
+        path.write_bytes(data)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("partialbench.dataset.manifest.write_atomically", refuse)
+        with pytest.raises(PartialbenchError, match=r"could not write manifest\.json"):
+            build(plan(tmp_path), InlineExecutor)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "failures.jsonl"]
+    build(plan(tmp_path), InlineExecutor)
+    assert contents(tmp_path) == reference
+
+
+def test_what_failed_is_made_when_asked_once_it_is_mended(tmp_path, reference):
+    build(plan(tmp_path, source=ToySource(broken=("dresser_0002",))), InlineExecutor)
+    before = {p.name: p.stat().st_mtime_ns for p in tmp_path.glob("*.h5")}
+    assert len(build(plan(tmp_path), InlineExecutor).failures) == 2
+    assert build(plan(tmp_path), InlineExecutor, retry_failed=True).failures == []
+    assert contents(tmp_path) == reference
+    again = {p.name for p in tmp_path.glob("*.h5") if p.stat().st_mtime_ns != before.get(p.name)}
+    assert again == {"train-00001.h5", "test-00000.h5"}
+
+
+def test_a_shard_without_rows_is_made_when_asked_and_rejections_stay(tmp_path, reference):
+    broken = ToySource(broken=("dresser_0002", "bottle_0003"))
+    manifest = build(plan(tmp_path, source=broken), InlineExecutor)
+    assert [e.rows for e in manifest.shards if e.split == "train"] == [6, 0, 6]
+    build(plan(tmp_path), InlineExecutor, retry_failed=True)
+    assert contents(tmp_path) == reference
+    # The other way round: a shard that had rows and is made anew without leaves no file behind.
+    for name in ("train-00001.h5", "test-00000.h5"):
+        (tmp_path / name).unlink()
+    build(plan(tmp_path, source=broken), InlineExecutor)
+    (tmp_path / "train-00001.h5").write_bytes(reference["train-00001.h5"])
+    build(plan(tmp_path, source=broken), InlineExecutor, retry_failed=True)
+    assert not (tmp_path / "train-00001.h5").exists()
+    rejecting = tmp_path / "rejecting"
+    build(plan(rejecting, occluder=ToyOccluder(reject=True)), InlineExecutor)
+    whole = contents(rejecting)
+    never = ToySource(broken=tuple(f"{n}_{i:04d}" for i in range(6) for n in ("dresser", "bottle")))
+    build(plan(rejecting, source=never, occluder=ToyOccluder(reject=True)), InlineExecutor,
+          retry_failed=True)  # fmt: skip
+    assert contents(rejecting) == whole
+
+
+def test_nothing_usable_can_be_mended_and_made(tmp_path, reference):
+    every = ToySource(broken=tuple(f"{n}_{i:04d}" for i in range(6) for n in ("dresser", "bottle")))
+    with pytest.raises(InputError, match="with --retry-failed"):
+        build(plan(tmp_path, source=every), InlineExecutor)
+    build(plan(tmp_path), InlineExecutor, retry_failed=True)
+    assert contents(tmp_path) == reference
+
+
 def test_first_objects_of_each_class(tmp_path):
     manifest = build(plan(tmp_path, per_class={"train": 2, "test": 1}), InlineExecutor)
     assert (manifest.rows("train"), manifest.rows("test")) == (2 * 2 * 3, 2)

@@ -43,3 +43,18 @@ def test_ctrl_c_while_a_worker_is_started_is_heeded_right_after():
     elsewhere.join()
     assert reached
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def threads() -> list[str | None]:
+    return [os.environ.get(f"{name}_NUM_THREADS") for name in ("OMP", "OPENBLAS", "MKL")]
+
+
+def test_only_the_workers_are_held_to_one_thread(monkeypatch):
+    """What comes after the pool in this process, a training, has all of them."""
+    for name in ("OMP", "OPENBLAS", "MKL"):
+        monkeypatch.delenv(f"{name}_NUM_THREADS", raising=False)
+    monkeypatch.setenv("MKL_NUM_THREADS", "3")
+    with process_pool(1) as pool:
+        assert pool.submit(threads).result() == ["1", "1", "3"]
+        assert threads() == [None, None, "3"]
+    assert threads() == [None, None, "3"]
