@@ -36,6 +36,7 @@ from baselines.points import (
 )
 from baselines.shared_mlp import NormLinear
 from partialbench.benchmark.prediction import Prediction
+from partialbench.errors import InputError
 
 NEIGHBOURS = 32
 WIDTH = 64
@@ -46,7 +47,8 @@ RAMP = 0.2
 2π and the least angle into the gap to the next. Equal directions are common (symmetric shapes,
 repeated points), and rounding would decide. Here a follower nearer than RAMP counts as
 ψ + LARGEST·(1 − ψ/RAMP), which is LARGEST on both sides of ψ = 0: φ is continuous, and as defined
-where no two directions are that near."""
+where no two directions are that near. Of 32 neighbours most are: the gaps between their directions
+average 2π/32 = 0.196 (the model's card says what becomes of φ)."""
 FADE = 0.1
 """Length below which a direction fades out: of p_i near the centroid, of a neighbour across p̂_i
 when it is in line with it. Their angles would be rounding alone."""
@@ -66,7 +68,14 @@ def rri(points: Tensor, k: int = NEIGHBOURS) -> Tensor:
 
     φ is 0 for a neighbour in line with p_i, which is nobody's follower; θ and φ are 0 for a point
     at the centroid. Neighbours are the k nearest other points, in no particular order.
+
+    Raises:
+        InputError: for clouds of k points or fewer.
     """
+    if points.shape[1] <= k:
+        raise InputError(
+            f"{k} neighbours need clouds of at least {k + 1} points, got {points.shape[1]}"
+        )
     with torch.autocast(points.device.type, enabled=False):
         points = full_precision(points)
         distance = distances(points, points)

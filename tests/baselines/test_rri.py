@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from baselines import points, rri
+from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
 
 
@@ -21,17 +22,29 @@ def pairwise_rri(cloud: np.ndarray, k: int) -> list[np.ndarray]:
         q_hat = q / np.linalg.norm(q, axis=1, keepdims=True)
         t = q_hat - (q_hat @ p_hat)[:, None] * p_hat
         t /= np.linalg.norm(t, axis=1, keepdims=True)
-        rows = []
-        for a in range(k):
-            psi = [
-                np.arctan2(np.cross(t[a], t[b]) @ p_hat, t[a] @ t[b]) % (2 * np.pi)
-                for b in range(k)
-                if b != a
-            ]
-            theta = np.arccos(q_hat[a] @ p_hat)
-            rows.append([np.linalg.norm(p), np.linalg.norm(q[a]), theta, min(psi)])
-        features.append(np.array(sorted(rows, key=lambda row: row[1])))
+        psi = np.arctan2(np.cross(t[:, None], t[None]) @ p_hat, t @ t.T) % (2 * np.pi)
+        np.fill_diagonal(psi, np.inf)
+        theta = np.arccos(q_hat @ p_hat)
+        r = np.full(k, np.linalg.norm(p))
+        rows = np.stack([r, np.linalg.norm(q, axis=1), theta, psi.min(axis=1)], axis=1)
+        features.append(rows[rows[:, 1].argsort()])
     return features
+
+
+def visible_side(shape: str, number: int, rng: np.random.Generator) -> np.ndarray:
+    """Points (N,3), even by area, of the sides of an ellipsoid or a box that a camera sees."""
+    half, camera = np.array([1.0, 0.7, 0.45]), np.array([0.3, 0.5, 0.81])
+    if shape == "box":
+        area = 1 / half
+        face = rng.choice(3, size=number, p=area / area.sum())
+        cloud = rng.uniform(-half, half, size=(number, 3))
+        cloud[np.arange(number), face] = half[face]
+        return cloud
+    x = rng.normal(size=(20 * number, 3))
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    stretch = np.linalg.norm(x / half, axis=1)
+    kept = (x / half @ camera > 0) & (rng.random(len(x)) < stretch / stretch.max())
+    return (x * half)[kept][:number]
 
 
 class TestRRI:
@@ -55,6 +68,56 @@ class TestRRI:
             np.testing.assert_allclose(mine[as_defined, 3], phi[as_defined], atol=1e-4)
             assert (mine[~as_defined, 3] >= phi[~as_defined]).all()
         assert plain > 100
+
+    @pytest.mark.parametrize(
+        ("shape", "number", "altered", "faded", "mean", "correlation"),
+        [
+            ("ellipsoid", 256, 0.78, 0.13, 0.38, 0.55),
+            ("box", 256, 0.83, 0.18, 0.40, 0.49),
+            ("ellipsoid", 1024, 0.91, 0.51, 0.41, 0.35),
+            ("box", 1024, 0.93, 0.57, 0.43, 0.25),
+        ],
+    )
+    def test_most_phi_of_32_neighbours_are_not_as_defined(
+        self,
+        rng: np.random.Generator,
+        shape: str,
+        number: int,
+        altered: float,
+        faded: float,
+        mean: float,
+        correlation: float,
+    ) -> None:
+        """The figures of the card; and the formula holds where neither ramp nor fade is met."""
+        cloud = points.normalise(torch.from_numpy(visible_side(shape, number, rng))[None])
+        k = rri.NEIGHBOURS
+        defined = np.array(pairwise_rri(cloud[0].numpy(), k))
+        got = rri.rri(cloud)[0].numpy()
+        got = np.take_along_axis(got, got[..., 1].argsort(axis=1)[..., None], axis=1)
+        np.testing.assert_allclose(got[..., :2], defined[..., :2], atol=1e-9)
+        across = np.sin(defined[..., 2]) * defined[..., 1]
+        off = np.abs(got[..., 3] - defined[..., 3])
+        phi = np.minimum(defined[..., 3], rri.LARGEST)
+        own = across >= rri.FADE
+        assert (got[own, 3] >= phi[own] - 1e-6).all()
+        plain = (across.min(axis=1) >= rri.FADE)[:, None] & (phi >= rri.RAMP)
+        # Of 1,024 points no neighbourhood is so wide that none of its directions fades.
+        assert plain.any() == (number == 256)
+        assert (np.abs(got[..., 3] - phi)[plain] < 1e-6).all()
+        assert (off > 0.01).mean() == pytest.approx(altered, abs=0.05)
+        assert (across < rri.FADE).mean() == pytest.approx(faded, abs=0.05)
+        assert defined[..., 3].mean() == pytest.approx(2 * np.pi / k, abs=1e-3)
+        assert got[..., 3].mean() == pytest.approx(mean, abs=0.05)
+        found = np.corrcoef(got[..., 3].ravel(), defined[..., 3].ravel())[0, 1]
+        assert found == pytest.approx(correlation, abs=0.1)
+
+    @pytest.mark.parametrize("number", [1, 31, 32])
+    def test_too_few_points_are_refused(self, number: int) -> None:
+        """A point is not its own neighbour: 32 of them need 33 points."""
+        message = f"32 neighbours need clouds of at least 33 points, got {number}"
+        with pytest.raises(InputError, match=message):
+            rri.RRIPointNet2(4).eval()(torch.randn(2, number, 3))
+        assert rri.rri(points.normalise(torch.randn(2, 33, 3))).isfinite().all()
 
     @pytest.mark.parametrize("turn", np.linspace(-0.2, 0.2, 9))
     def test_is_continuous_where_directions_pass_each_other(self, turn: float) -> None:
