@@ -197,7 +197,8 @@ def verify(
     from partialbench.dataset.verify import verify as check
 
     options = given(scannet=scannet, scan2cad=scan2cad)
-    report = check(folder, source_of(folder, "scannet" if options else source, options))
+    opened, missing = source_of(folder, "scannet" if options else source, options)
+    report = check(folder, opened, no_source=missing)
     facts = [f"{n:,} {split} rows" for split, n in report.rows.items()]
     if report.surface:
         facts.append(f"points within {report.surface['max']:.1e} of the surface")

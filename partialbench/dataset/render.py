@@ -114,18 +114,37 @@ def _make_occluder(name: str, options: dict[str, Any]) -> Occluder:
 
 def source_of(
     folder: Path, name_or_path: str | None = None, options: dict[str, Any] | None = None
-) -> Source | None:
+) -> tuple[Source | None, str]:
     """The source a data folder was made from, for checking its points against surfaces.
 
     Args:
-        name_or_path: where the source is; without it, only the built-in shapes are at hand, with
-            the settings the manifest records.
-        options: of the source.
+        name_or_path: where the source is; without it, only the built-in shapes are at hand.
+        options: where else to look (``scannet``, ``scan2cad``). How the source was read is taken
+            from the manifest.
+
+    Returns:
+        The source; or None, and why the folder's rows cannot be held against one.
+
+    Raises:
+        InputError: no data folder, or ``name_or_path`` is no source.
     """
-    configuration = manifests.load(folder).configuration["source"]
-    if name_or_path is None:
-        if configuration["name"] != "parametric":
-            return None
+    recorded = manifests.load(folder).configuration["source"]
+    if name_or_path is None and recorded["name"] != "parametric":
+        return None, "no source given (use --source)"
+    if name_or_path in (None, "parametric") and recorded["name"] == "parametric":
         cls = registry.load(registry.SOURCES["parametric"])
-        return cls.from_description(configuration)
-    return registry.load(registry.OPEN_SOURCE)(name_or_path, **(options or {}))
+        try:
+            return cls.from_description(recorded), ""
+        except InputError as error:
+            return None, str(error)
+    opened = registry.load(registry.OPEN_SOURCE)(
+        name_or_path, described=recorded, **(options or {})
+    )
+    # What a later release records besides is no difference.
+    described = {key: value for key, value in opened.describe().items() if key in recorded}
+    others = manifests.differences(recorded, described)
+    if not others:
+        return opened, ""
+    said = [f"{key}: folder has {there!r}, source has {here!r}" for key, there, here in others[:3]]
+    more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+    return None, f"the source is not what the folder was made from: {'; '.join(said)}{more}"

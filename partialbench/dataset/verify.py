@@ -64,6 +64,7 @@ def verify(
     source: Source | None = None,
     surface_rows: int = 64,
     on_progress: Callable[[int, int], None] | None = None,
+    no_source: str = "no source given (use --source)",
 ) -> Report:
     """Check a data folder; never raises for damage inside it, only where there is no folder.
 
@@ -72,6 +73,7 @@ def verify(
         source: what it was made from, for the surface check.
         surface_rows: so many rows, evenly spread over each split, are checked against the source.
         on_progress: called with (shards done, shards in all).
+        no_source: where there is none, why.
     """
     folder = Path(folder)
     manifest = manifests.load(folder)
@@ -107,7 +109,9 @@ def verify(
         complete = report.rows.get(split) == manifest.rows(split)
         if complete and content_digest(digests.get(split, [])) != recorded:
             report.problems.append(f"split {split!r}: rows do not hash to the recorded digest")
-    _judge_surface(manifest, surface, source, report)
+    if source is None:
+        report.notes.append(f"surface not checked: {no_source}")
+    _judge_surface(manifest, surface, report)
     return report
 
 
@@ -247,12 +251,7 @@ def surface_distance(shape: Any, points: NDArray) -> NDArray[np.float64]:
     return cKDTree(cloud).query(points)[0]
 
 
-def _judge_surface(
-    manifest: Manifest, surface: list[NDArray], source: Source | None, report: Report
-) -> None:
-    if source is None:
-        report.notes.append("surface not checked: no source given (use --source)")
-        return
+def _judge_surface(manifest: Manifest, surface: list[NDArray], report: Report) -> None:
     if not surface:
         return
     distances = np.concatenate(surface)

@@ -14,13 +14,16 @@ from partialbench.dataset.sources import Source
 from partialbench.errors import InputError
 from renderers.sources.files import SPLITS, Archive, Directory, Files, is_mesh
 from renderers.sources.mesh import SUFFIXES
+from renderers.sources.scannet.filters import Rules
 
 CLOUDS = "renderers.sources.clouds:CompleteClouds"
 CLOUD_SUFFIXES = (".h5", ".hdf5")
 CLOUD_FILE_SUFFIXES = (".pcd", ".xyz", ".txt", ".npy")
 
 
-def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
+def open_source(
+    path_or_name: str | PathLike[str], described: dict[str, Any] | None = None, **options: Any
+) -> Source:
     """The source behind a registered name or a path.
 
     A path may be a folder or a zip in ModelNet40's tree (only OFF files, all in ModelNet40's
@@ -30,6 +33,8 @@ def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
     Args:
         path_or_name: a name of ``registry.SOURCES`` or a path; a name wins over a path of the same
             spelling (write ``./name`` for the path).
+        described: what ``describe`` said of a source: it is opened with the same options, as far as
+            it takes them and none of ``options`` says otherwise.
         options: passed to the source: ``aligned`` (meshes), ``up`` (folders), and others' own.
 
     Raises:
@@ -38,7 +43,7 @@ def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
     """
     text = str(path_or_name)
     if text in registry.SOURCES:
-        return _make(registry.SOURCES[text], text, options)
+        return _make(registry.SOURCES[text], text, options, described)
     path = Path(path_or_name)
     if not path.exists():
         near = registry.close_matches(text, registry.SOURCES)
@@ -62,7 +67,7 @@ def open_source(path_or_name: str | PathLike[str], **options: Any) -> Source:
             f"{path} is no source: expected a folder or a .zip of meshes "
             f"({', '.join(SUFFIXES)}) or an HDF5 file of clouds ({', '.join(CLOUD_SUFFIXES)})"
         )
-    return _make(entry, text, {_first_parameter(entry): path, **options})
+    return _make(entry, text, {_first_parameter(entry): path, **options}, described)
 
 
 def _holds_clouds(files: Files) -> bool:
@@ -102,9 +107,27 @@ def _first_parameter(entry: str) -> str:
     return next(iter(inspect.signature(registry.load(entry)).parameters))
 
 
-def _make(entry: str, named: str, options: dict[str, Any]) -> Source:
+def _described_options(described: dict[str, Any]) -> dict[str, Any]:
+    """The options behind a description, of whichever source."""
+    names = ("up", "viewpoints", "rooms", "seed", "sensor")
+    options = {name: described[name] for name in names if name in described}
+    if "frame" in described:
+        options["aligned"] = described["frame"] == "aligned"
+    if "rules" in described:
+        known = Rules.__dataclass_fields__
+        options["rules"] = Rules(**{k: v for k, v in described["rules"].items() if k in known})
+    if isinstance(described.get("split"), dict):
+        options["split_file"] = described["split"]
+    return options
+
+
+def _make(
+    entry: str, named: str, options: dict[str, Any], described: dict[str, Any] | None
+) -> Source:
     factory = registry.load(entry)
     signature = inspect.signature(factory)
+    filled = _described_options(described or {})
+    options = {k: v for k, v in filled.items() if k in signature.parameters} | options
     try:
         signature.bind(**options)
     except TypeError as error:

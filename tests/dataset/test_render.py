@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+import trimesh
+from typer.testing import CliRunner
 
+from partialbench.cli import app
 from partialbench.dataset.build import build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.loader import ShardDataset
@@ -47,17 +50,64 @@ def test_every_setting_renders_and_verifies(tmp_path, setting):
     plan = plan_render("pm40", tmp_path, setting=setting, splits=("test",), **SMALL)
     manifest = build(plan, InlineExecutor)
     assert manifest.configuration["setting"] == setting
-    report = verify(tmp_path, source_of(tmp_path))
+    report = verify(tmp_path, source_of(tmp_path)[0])
     assert report.problems == []
     assert report.rows == {"test": 40}
     assert report.surface["max"] < 1e-4
+
+
+@pytest.fixture
+def lying(tmp_path):
+    """A folder of meshes with y up, aligned, and the data made of it."""
+    tree, out = tmp_path / "meshes", tmp_path / "data"
+    for split in ("train", "test"):
+        (tree / "crate" / split).mkdir(parents=True)
+        trimesh.creation.box((1, 2, 3)).export(tree / "crate" / split / "one.off")
+    plan = plan_render("pm40", out, source=str(tree), views=1, points=64,
+                       source_options={"up": "y", "aligned": True},
+                       occluder_options={"resolution": 32})  # fmt: skip
+    build(plan, InlineExecutor)
+    return tree, out
+
+
+def test_a_source_is_opened_as_the_manifest_says(lying):
+    tree, out = lying
+    source, missing = source_of(out, str(tree))
+    assert (source.up, source.frame, missing) == ("y", "aligned", "")
+    report = verify(out, source)
+    assert report.problems == []
+    assert report.surface["max"] < 1e-4
+
+
+def test_another_source_is_told_and_judges_nothing(lying):
+    tree, out = lying
+    (tree / "crate" / "train" / "one.off").rename(tree / "crate" / "train" / "two.off")
+    run = CliRunner().invoke(app, ["verify", str(out), "--source", str(tree)])
+    assert run.exit_code == 0
+    assert "is sound: 1 train rows, 1 test rows" in run.stdout
+    noted = " ".join(run.stderr.split())
+    assert "surface not checked: the source is not what the folder was made from" in noted
+    assert "listing_sha256: folder has" in noted
+
+
+def test_shapes_of_another_generation_leave_the_digests_to_check(tmp_path, monkeypatch):
+    build(plan_render("pm40", tmp_path, setting="aligned", splits=("test",), **SMALL),
+          InlineExecutor)  # fmt: skip
+    monkeypatch.setattr("renderers.shapes.source.GENERATION", 99)
+    for named in (None, "parametric"):
+        source, missing = source_of(tmp_path, named)
+        assert source is None
+        assert "this release makes generation 99" in missing
+    report = verify(tmp_path, source, no_source=missing)
+    assert report.sound
+    assert report.notes == [f"surface not checked: {missing}"]
 
 
 def test_noise_moves_points_off_the_surface_and_is_said(tmp_path):
     plan = plan_render("pm40", tmp_path, sensor="kinect-v1", splits=("test",),
                        occluder_options={"resolution": 96}, **SMALL)  # fmt: skip
     build(plan, InlineExecutor)
-    report = verify(tmp_path, source_of(tmp_path))
+    report = verify(tmp_path, source_of(tmp_path)[0])
     assert report.sound
     assert report.surface["mean"] > 1e-4
     assert "the sensor is noisy" in report.notes[0]
@@ -70,7 +120,7 @@ def test_a_fixed_camera_may_cut_objects(tmp_path):
     manifest = build(plan, InlineExecutor)
     reasons = {f["reason"] for f in manifest.failures}
     assert reasons <= {"no surface at any pixel centre"}
-    assert verify(tmp_path, source_of(tmp_path)).sound
+    assert verify(tmp_path, source_of(tmp_path)[0]).sound
 
 
 @pytest.mark.data
@@ -80,7 +130,7 @@ def test_the_eight_real_files_render_and_verify(shared, tmp_path):
     manifest = build(plan, InlineExecutor)
     assert manifest.failures == []
     assert (manifest.rows("train"), manifest.rows("test")) == (21, 1)
-    report = verify(tmp_path, source_of(tmp_path, str(tree)))
+    report = verify(tmp_path, source_of(tmp_path, str(tree))[0])
     assert report.problems == []
     assert report.surface["max"] < 1e-4
 

@@ -18,9 +18,10 @@ from partialbench.dataset.sources import View
 from partialbench.errors import ConfigurationMismatchError, InputError, PartialbenchError
 from partialbench.geometry.rotations import geodesic_angle
 from renderers.rooms.furniture import KINDS
-from renderers.rooms.generate import generate_rooms, split_of
+from renderers.rooms.generate import GENERATION, generate_rooms, split_of
 from renderers.rooms.layout import furnish
 from renderers.rooms.source import SimulatedRooms
+from renderers.sources.open import open_source
 from renderers.sources.scannet.frames import read_label_map, read_scene
 from renderers.sources.scannet.occluder import ScanHprOccluder
 from renderers.sources.scannet.scan2cad import R_canonical_cad
@@ -171,11 +172,12 @@ def test_both_splits_hold_whole_cycles_of_room_types():
 
 def test_simulated_rooms_are_a_source_kept_in_the_cache(rooms, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    kept = tmp_path / "partialbench" / "rooms-1-kinect-v1-seed0-5"
+    kept = tmp_path / "partialbench" / f"rooms-{GENERATION}-kinect-v1-seed0-5"
     kept.parent.mkdir()
     shutil.copytree(rooms.scannet, kept)
     source = SimulatedRooms(rooms=5)
     described = source.describe()
     assert (described["name"], described["rooms"], described["seed"]) == ("rooms", 5, 0)
     assert str(tmp_path) not in json.dumps(described)
+    assert open_source("rooms", described=described).describe() == described
     assert len(source.objects("train")) == sum(source.counts()["train"].values()) > 20

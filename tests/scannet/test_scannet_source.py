@@ -15,6 +15,7 @@ from partialbench.dataset.shards import read_columns
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import geodesic_angle
+from renderers.sources.open import open_source as opened
 from renderers.sources.scannet import filters
 from renderers.sources.scannet.filters import Rules
 from renderers.sources.scannet.instances import SECOND
@@ -318,6 +319,21 @@ def test_uniform_poses_are_the_papers(scannet):
     assert (np.abs(t[:, :2]) <= 2).all()
     assert ((t[:, 2] >= 2) & (t[:, 2] <= 5)).all()
     assert np.abs(R.mean(axis=0)).max() < 0.15  # Haar: every entry has mean 0
+
+
+def test_a_description_opens_the_same_source_again(scannet):
+    path = scannet / "split.json"
+    path.write_text(json.dumps({"train": ["scene0001"], "test": []}))
+    described = open_source(
+        scannet, split_file=path, viewpoints="uniform", rules=Rules(min_points=200)
+    ).describe()
+    where = {"scannet": scannet, "scan2cad": scannet / "full_annotations.json"}
+    path.unlink()
+    again = opened("scannet", described=described, **where)
+    assert again.describe() == described
+    assert opened("scannet", described=described, viewpoints="standing", **where).viewpoints == (
+        "standing"
+    )
 
 
 def test_where_nobody_can_stand_the_object_is_recorded(scannet):

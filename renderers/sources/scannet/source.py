@@ -110,7 +110,8 @@ class ScanNetInstances:
         viewpoints: "standing" (a person with a camera in the room) or "uniform" (the paper's poses:
             Haar rotation, t_x, t_y ~ U(−2, 2), t_z ~ U(2, 5)).
         split_file: JSON object {"train": [...], "test": [...]} of scene ids or space ids; a scene
-            in neither is left out. Default: four of five spaces by hash, see ``split_of``.
+            in neither is left out; or what ``read_split_file`` made of one. Default: four of five
+            spaces by hash, see ``split_of``.
         label_map: default ``scannet/scannetv2-labels.combined.tsv``.
         rules: thresholds of ``filters``.
         workers: processes that list scenes.
@@ -122,7 +123,7 @@ class ScanNetInstances:
     scannet: Path
     scan2cad: Path
     viewpoints: str = "standing"
-    split_file: Path | None = None
+    split_file: Path | dict[str, str] | None = None
     label_map: Path | None = None
     rules: Rules = field(default_factory=Rules)
     workers: int = 1
@@ -141,7 +142,8 @@ class ScanNetInstances:
                 f"{self.scannet} is no folder; give --scannet the folder that holds scans/"
             )
         self.label_map = self.label_map or self.scannet / LABEL_MAP
-        self._splits = None if self.split_file is None else read_split_file(self.split_file)
+        given = self.split_file
+        self._splits = given if given is None or isinstance(given, dict) else read_split_file(given)
         self._listed: dict[str, _Listed] | None = None
         self._open()
 
