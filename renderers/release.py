@@ -65,12 +65,14 @@ def read_release(folder: str | PathLike[str]) -> dict[str, ReleasedSplit]:
 
 
 def import_release(folder: str | PathLike[str], out: str | PathLike[str]) -> Manifest:
-    """Write the released arrays as shards, all points of every row, in the released order.
+    """Write the released arrays as shards, rows in the released order.
 
-    The data set is ``pm40-release`` or ``ps15-release``, told apart by the labels. Every row is its
+    A row keeps its number of points: all that differ, then repeats of them drawn at random. The
+    data set is ``pm40-release`` or ``ps15-release``, told apart by the labels. Every row is its
     own object with one view, named ``row_000000`` and on. A cloud is centred on its centroid and
     scaled into the unit ball, as the paper's network does first; t_camera_object is zero. The share
-    of the surface seen is not known: ``visible_fraction`` is 0 throughout.
+    of the surface seen is not known: ``visible_fraction`` is 0 throughout. The release maps PM40's
+    poses by class symmetry and PS15's not at all: PS15's rows have the symmetry "none".
 
     Returns:
         The finished folder's manifest. A repeated import continues or returns it.
@@ -93,10 +95,12 @@ def import_release(folder: str | PathLike[str], out: str | PathLike[str]) -> Man
 
 @dataclass(frozen=True)
 class ReleasedRow:
-    """One row: (N,3) float64 points in the unit ball, and R_camera_object (3,3)."""
+    """One row: (N,3) float64 points in the unit ball, R_camera_object (3,3), and the name of its
+    symmetry group, None for its class's."""
 
     points: NDArray[np.float64]
     rotation: NDArray[np.float64]
+    symmetry: str | None = None
 
 
 class ReleasedRows:
@@ -142,7 +146,8 @@ class ReleasedRows:
         size = np.linalg.norm(centred, axis=1).max()
         if not (np.isfinite(size) and size > 0):
             raise InputError(f"{ref.location}: the points are not finite or all at one place")
-        return ReleasedRow(centred / size, rotation)
+        symmetry = "none" if self.dataset_id == "ps15-release" else None
+        return ReleasedRow(centred / size, rotation, symmetry)
 
     def poses(
         self, shape: ReleasedRow, rngs: Iterable[np.random.Generator]
@@ -161,7 +166,11 @@ class ReleasedRows:
         for data in self._splits.values():
             whole.update(data.labels.tobytes() + data.rotations.tobytes())
         rows = {split: len(data.labels) for split, data in self._splits.items()}
-        return {"name": "papnet-release", "rows": rows, "annotations_sha256": whole.hexdigest()}
+        symmetry = "none" if self.dataset_id == "ps15-release" else "of the class"
+        return {
+            "name": "papnet-release", "rows": rows, "symmetry": symmetry,
+            "annotations_sha256": whole.hexdigest(),
+        }  # fmt: skip
 
     def _row(self, ref: ObjectRef) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         data, row = self._splits[ref.split], int(ref.location.rpartition("/")[2])
@@ -169,7 +178,7 @@ class ReleasedRows:
 
 
 class AsReleased:
-    """Views that show a released row as it is."""
+    """Views that show a released row's points, each once."""
 
     def views(
         self,
@@ -177,18 +186,23 @@ class AsReleased:
         poses: list[tuple[NDArray, NDArray]],
         rngs: list[np.random.Generator],
     ) -> list[View | RejectedView]:
-        """One view per pose with all the row's points."""
-        seen = len(np.unique(shape.points, axis=0))
+        """One view per pose with the row's distinct points, in the released order."""
+        stored = shape.points.astype(np.float32)
+        # The builder repeats points behind the distinct ones; the release has its repeats among
+        # them, where a reader of the first n_visible would meet them.
+        _, first = np.unique(stored, axis=0, return_index=True)
+        points = stored[np.sort(first)]
         return [
             View(
-                shape.points.astype(np.float32), rotation, translation, np.zeros((3, 3)), 0.0, seen
+                points, rotation, translation, np.zeros((3, 3)), 0.0, len(points),
+                symmetry=shape.symmetry,
             )
             for rotation, translation in poses
-        ]
+        ]  # fmt: skip
 
     def describe(self) -> dict[str, Any]:
-        """Name alone."""
-        return {"name": "as-released"}
+        """Name, and what is done to repeats."""
+        return {"name": "as-released", "repeats": "behind the distinct points"}
 
 
 def _read_split(folder: Path, split: str) -> ReleasedSplit:

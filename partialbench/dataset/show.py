@@ -6,6 +6,7 @@ the object's canonical axes (x red, y green, z blue) and the visible fraction in
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,7 +42,12 @@ def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed:
     data = ShardDataset(folder, split, num_points=1)
     data = ShardDataset(folder, split, num_points=data.manifest.configuration["points"])
     rows = choose_rows(data.labels, samples, seed)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"--out {out}: cannot make the folder {out.parent}: {error.strerror}; choose another"
+        ) from error
     if out.suffix.lower() == ".png":
         _write_png(data, rows, out)
     else:
@@ -77,22 +83,36 @@ def _write_png(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
     for n, (row, cloud) in enumerate(zip(rows, data.points(rows), strict=True)):
         axes = figure.add_subplot(lines, columns, n + 1)
         far_first = np.argsort(-cloud[:, 2])
-        # Perspective picture plane through the object's centre.
-        centre = data.translations[row]
-        picture = (cloud[:, :2] / cloud[:, 2:] - centre[:2] / centre[2]) * centre[2]
-        x, y = picture[far_first].T
+        x, y = picture(cloud, data.translations[row])[far_first].T
         axes.scatter(x, y, c=-cloud[far_first, 2], s=1.5, cmap="viridis", lw=0)
         _draw_axes(axes, data.rotations[row])
-        name = data.class_names[data.labels[row]]
-        seen = f"{data.visible_fraction[row]:.0%} seen"
-        axes.set_title(f"{name}\n{data.object_ids[row]} · {seen}", fontsize=6.5)
+        axes.set_title(_title(data, row, "\n"), fontsize=6.5)
         axes.set_aspect("equal")
         axes.set_xlim(-1.3, 1.3)
         axes.set_ylim(1.3, -1.3)  # y points down
         axes.axis("off")
     figure.tight_layout(rect=(0, 0, 1, 0.97))
-    with open(out, "wb") as file:
-        figure.savefig(file, format="png")
+    page = io.BytesIO()
+    figure.savefig(page, format="png")
+    write_atomically(out, page.getvalue())
+
+
+def picture(cloud: NDArray, centre: NDArray) -> NDArray:
+    """(n,2) where a camera-frame cloud (n,3) appears about its object's centre (3,), object units.
+
+    In perspective, on the plane through the centre; flat where the centre is not in front of the
+    camera: a release that gives no translation has it at the origin.
+    """
+    if centre[2] <= 0:
+        return cloud[:, :2] - centre[:2]
+    return (cloud[:, :2] / cloud[:, 2:] - centre[:2] / centre[2]) * centre[2]
+
+
+def _title(data: ShardDataset, row: int, after_class: str) -> str:
+    """Class, object and the share that is seen, where it is known."""
+    share = data.visible_fraction[row]
+    seen = f" · {share:.0%} seen" if share > 0 else ""
+    return f"{data.class_names[data.labels[row]]}{after_class}{data.object_ids[row]}{seen}"
 
 
 def _draw_axes(axes: Axes, rotation: NDArray, length: float = 0.3) -> None:
@@ -114,11 +134,7 @@ def _write_html(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
 
     columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
-    titles = [
-        f"{data.class_names[data.labels[row]]} · {data.object_ids[row]} · "
-        f"{data.visible_fraction[row]:.0%} seen"
-        for row in rows
-    ]
+    titles = [_title(data, row, " · ") for row in rows]
     figure = make_subplots(
         lines, columns, specs=[[{"type": "scene"}] * columns] * lines, subplot_titles=titles,
         horizontal_spacing=0.01, vertical_spacing=0.4 / lines / 4,

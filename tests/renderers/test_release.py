@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.shards import read_columns
+from partialbench.dataset.show import _title, picture, show
 from partialbench.dataset.verify import verify
 from partialbench.errors import ConfigurationMismatchError, InputError
 from partialbench.geometry.rotations import haar_rotations
@@ -59,6 +61,44 @@ def test_few_labels_mean_ps15(tmp_path: Path, rng: np.random.Generator) -> None:
     manifest = import_release(tmp_path, tmp_path / "out")
     assert manifest.dataset_id == "ps15-release"
     assert len(manifest.class_names) == 15
+
+
+def test_ps15_has_no_symmetry_mapping_in_the_release(tmp_path, rng: np.random.Generator) -> None:
+    """PM40 has: a bookshelf is label 4 there and label 9 here."""
+    for classes, label, symmetry in ((15, 9, b"none"), (40, 4, b"xyz-180")):
+        folder = tmp_path / str(classes)
+        folder.mkdir()
+        arrays = released(folder, rng, classes)
+        arrays["train_labels"][3] = label
+        write(folder, arrays)
+        manifest = import_release(folder, folder / "out")
+        assert manifest.class_names[label] == "bookshelf"
+        rows = read_columns(folder / "out" / "train-00000.h5")
+        assert rows["symmetry"][3] == symmetry
+
+
+def test_distinct_points_come_first_and_repeats_after(tmp_path, rng: np.random.Generator) -> None:
+    arrays = released(tmp_path, rng)
+    arrays["train_points"][1, 20:] = arrays["train_points"][1, rng.integers(0, 20, 30)]
+    write(tmp_path, arrays)
+    import_release(tmp_path, tmp_path / "out")
+    rows = read_columns(tmp_path / "out" / "train-00000.h5")
+    assert rows["n_visible"].tolist() == [50, 20, 50, 50, 50, 50, 50]
+    assert len(np.unique(rows["points"][1, :20], axis=0)) == 20
+    assert len(np.unique(rows["points"][1], axis=0)) == 20
+
+
+@pytest.mark.parametrize("suffix", [".png", ".html"])
+def test_rows_without_a_translation_are_drawn(tmp_path, rng, suffix: str) -> None:
+    """Their centre is at the origin, not in front of the camera, and the share seen not known."""
+    released(tmp_path, rng)
+    import_release(tmp_path, tmp_path / "out")
+    data = ShardDataset(tmp_path / "out", "train", 50)
+    drawn = picture(data.points([0])[0], data.translations[0])
+    np.testing.assert_array_equal(drawn, data.points([0])[0][:, :2])
+    assert _title(data, 0, " · ") == f"{data.class_names[data.labels[0]]} · row_000000"
+    page = show(tmp_path / "out", tmp_path / f"page{suffix}", samples=3)
+    assert page.stat().st_size > 10_000
 
 
 def test_other_arrays_do_not_continue_a_folder(tmp_path: Path, rng: np.random.Generator) -> None:
