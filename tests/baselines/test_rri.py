@@ -48,13 +48,14 @@ def visible_side(shape: str, number: int, rng: np.random.Generator) -> np.ndarra
 
 
 class TestRRI:
-    def test_equals_the_pairwise_formula(self, rng: np.random.Generator) -> None:
+    @pytest.mark.parametrize("k", [6, rri.NEIGHBOURS])
+    def test_equals_the_pairwise_formula(self, rng: np.random.Generator, k: int) -> None:
         """As defined wherever no follower is within the ramp, and never below it elsewhere."""
         cloud = rng.normal(size=(80, 3)) * 0.5
         cloud -= cloud.mean(axis=0)
-        got = rri.rri(torch.from_numpy(cloud[None]).float(), k=6)[0].numpy()
+        got = rri.rri(torch.from_numpy(cloud[None]).float(), k)[0].numpy()
         plain = 0
-        for mine, expected in zip(got, pairwise_rri(cloud, 6), strict=True):
+        for mine, expected in zip(got, pairwise_rri(cloud, k), strict=True):
             if expected[0, 0] < rri.FADE:
                 continue
             mine = mine[np.argsort(mine[:, 1])]
@@ -88,7 +89,7 @@ class TestRRI:
         mean: float,
         correlation: float,
     ) -> None:
-        """The figures of the card; and the formula holds where neither ramp nor fade is met."""
+        """The figures of the card. Of a neighbour that does not fade, φ is never below its own."""
         cloud = points.normalise(torch.from_numpy(visible_side(shape, number, rng))[None])
         k = rri.NEIGHBOURS
         defined = np.array(pairwise_rri(cloud[0].numpy(), k))
@@ -100,10 +101,6 @@ class TestRRI:
         phi = np.minimum(defined[..., 3], rri.LARGEST)
         own = across >= rri.FADE
         assert (got[own, 3] >= phi[own] - 1e-6).all()
-        plain = (across.min(axis=1) >= rri.FADE)[:, None] & (phi >= rri.RAMP)
-        # Of 1,024 points no neighbourhood is so wide that none of its directions fades.
-        assert plain.any() == (number == 256)
-        assert (np.abs(got[..., 3] - phi)[plain] < 1e-6).all()
         assert (off > 0.01).mean() == pytest.approx(altered, abs=0.05)
         assert (across < rri.FADE).mean() == pytest.approx(faded, abs=0.05)
         assert defined[..., 3].mean() == pytest.approx(2 * np.pi / k, abs=1e-3)
