@@ -54,20 +54,6 @@ VARIANTS = {
 }
 
 
-class Candidates(NamedTuple):
-    """The class branch's answer under each of the k most confident poses, best pose first.
-
-    Attributes:
-        logits: (B,k) the highest class logit under each pose.
-        classes: (B,k) int64, the class it belongs to.
-        bins: (B,k) int64, the poses.
-    """
-
-    logits: Tensor
-    classes: Tensor
-    bins: Tensor
-
-
 # Turned clouds that go through a backbone at a time.
 _CANDIDATES_AT_ONCE = 16
 
@@ -151,26 +137,6 @@ class PAPNet(nn.Module):
         rotation = predicted if rotation is None else rotation
         logits = self._classify(points, features, rotation)
         return Prediction(logits, pose_logits)
-
-    def candidates(self, points: Tensor, k: int | None = None) -> Candidates:
-        """Class answers under the ``k`` most confident poses (by default the ensemble's k).
-
-        Args:
-            points: (B,N,3).
-
-        Raises:
-            InputError: in training mode, or for a variant without a pose branch.
-        """
-        if self.training:
-            raise InputError("candidates are the trained model's answers: call eval() first")
-        points = normalise(points)
-        features = self.backbone(points, self.grid)
-        pose_logits, _ = self._pose(features)
-        if pose_logits is None:
-            raise InputError("this variant has no pose branch, so it has no candidates")
-        ranked = pose_logits.topk(self.k if k is None else k, dim=1).indices
-        logits, classes = self._over_bins(points, features, ranked).max(-1)
-        return Candidates(logits, classes, ranked)
 
     def training_loss(self, batch: Batch) -> Tensor:
         """CE of the class + λ·loss of the pose (the paper's L_total), a scalar."""

@@ -64,21 +64,3 @@ def nearest_bins(rotation: NDArray, k: int = 1) -> NDArray[np.int64]:
     similarity = np.einsum("...ij,bij->...b", np.asarray(rotation, np.float64), rotation_bins())
     # Round so that true ties are not decided by the last bit.
     return np.argsort(-np.round(similarity, 12), axis=-1, kind="stable")[..., :k]
-
-
-def soft_bin_target(
-    rotation: NDArray, weights: tuple[float, ...] = (0.4, 0.2, 0.2, 0.2)
-) -> NDArray[np.float64]:
-    """The paper's soft pose code: ``weights`` on the nearest bins, zero elsewhere.
-
-    Args:
-        rotation: (…,3,3) pose labels, already mapped under symmetry (see ``symmetry.canonical``).
-        weights: mass on the nearest, second nearest, … bin; the paper's 0.4 and three times 0.2.
-
-    Returns:
-        (…,60) float64 rows that sum to ``sum(weights)``.
-    """
-    bins = nearest_bins(rotation, len(weights))
-    target = np.zeros((*bins.shape[:-1], NUM_BINS))
-    np.put_along_axis(target, bins, np.broadcast_to(np.asarray(weights), bins.shape), axis=-1)
-    return target

@@ -6,7 +6,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from partialbench.dataset.categories import MODELNET40, PS15, PS15_TO_PM40
-from partialbench.geometry.bins import nearest_bins, rotation_bins, soft_bin_target
+from partialbench.geometry.bins import nearest_bins, rotation_bins
 from partialbench.geometry.rotations import (
     axis_rotation,
     euler_noise,
@@ -81,9 +81,6 @@ def test_nearest_bins_equal_brute_force_and_cover_so3(rng):
     assert np.array_equal(nearest_bins(rotations, 4), order)
     means = np.degrees(np.sort(angles, axis=1)[:, :4].mean(0))
     assert means == pytest.approx([29.6, 46.9, 53.8, 58.1], abs=0.5)
-    target = soft_bin_target(rotations)
-    assert np.allclose(target.sum(1), 1)
-    assert np.allclose(np.take_along_axis(target, order, 1), [0.4, 0.2, 0.2, 0.2])
     with pytest.raises(ValueError, match="between 1 and 60, got 61"):
         nearest_bins(rotations, 61)
 

@@ -12,7 +12,7 @@ from papnet import pose
 from papnet.model import VARIANTS, PAPNet
 from partialbench.benchmark.prediction import Batch
 from partialbench.errors import InputError
-from partialbench.geometry.bins import nearest_bins, rotation_bins, soft_bin_target
+from partialbench.geometry.bins import nearest_bins, rotation_bins
 from partialbench.geometry.rotations import geodesic_angle
 
 
@@ -111,8 +111,11 @@ def test_noise_turns_each_euler_angle_of_the_camera_side_uniformly() -> None:
 
 def test_targets_are_those_of_the_geometry_package() -> None:
     R = Rotation.random(200, random_state=2).as_matrix()
-    assert np.array_equal(pose.nearest_bin(torch.tensor(R)).numpy(), nearest_bins(R)[:, 0])
-    assert np.allclose(pose.soft_target(torch.tensor(R)).numpy(), soft_bin_target(R))
+    nearest = nearest_bins(R, 4)
+    assert np.array_equal(pose.nearest_bin(torch.tensor(R)).numpy(), nearest[:, 0])
+    expected = np.zeros((len(R), 60))
+    np.put_along_axis(expected, nearest, np.array([[0.4, 0.2, 0.2, 0.2]]), axis=1)
+    assert np.allclose(pose.soft_target(torch.tensor(R)).numpy(), expected)
 
 
 def test_a_regressed_pose_is_a_rotation_whose_bins_are_ranked_by_angle() -> None:
@@ -151,11 +154,18 @@ def test_wrong_options_are_refused(options: dict, message: str) -> None:
         PAPNet(5, **options)
 
 
-def test_candidates_need_a_pose_branch_and_evaluation() -> None:
-    with pytest.raises(InputError, match="no pose branch"):
-        small("without-pose").eval().candidates(batch().points)
-    with pytest.raises(InputError, match="eval"):
-        small().train().candidates(batch().points)
+@torch.no_grad()
+def test_candidates_are_given_where_an_ensemble_decided() -> None:
+    for variant in ("without-pose", "multi-task", "predicted"):
+        assert small(variant).eval()(batch().points).candidates is None
+    assert small().train()(batch().points).candidates is None
+    found = small().eval()(batch().points)
+    assert found.candidates is not None
+    logits, classes = found.candidates
+    assert logits.shape == classes.shape == (4, 3)
+    best = logits.argmax(1, keepdim=True)
+    assert torch.equal(found.class_logits.argmax(1), classes.gather(1, best)[:, 0])
+    assert torch.equal(found.class_logits.amax(1), logits.amax(1))
 
 
 def test_eight_clouds_are_overfitted() -> None:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from baselines.steerable.fields import wigner_matrix
+from papnet.pose import soft_target
 from papnet.steered.descriptor import Describe, Descriptor
 from papnet.steered.head import JointHead
 from papnet.steered.model import PAPNetSteered, PAPNetSteeredNoPose
@@ -19,7 +20,7 @@ from papnet.steered.poses import pose_grid, share_of_bins
 from papnet.steered.stretch import stretched
 from partialbench.benchmark.prediction import Batch
 from partialbench.errors import InputError
-from partialbench.geometry.bins import NUM_BINS, rotation_bins, soft_bin_target
+from partialbench.geometry.bins import NUM_BINS, rotation_bins
 from partialbench.geometry.rotations import haar_rotations
 
 CLASSES = 7
@@ -265,9 +266,7 @@ def test_pose_and_class_are_learned_together() -> None:
         prediction = model.eval()(points)
     assert prediction.pose_logits is not None
     assert (prediction.class_logits.argmax(1) == label).all()
-    likely = torch.from_numpy(soft_bin_target(R.numpy())).gather(
-        1, prediction.pose_logits.topk(4).indices
-    )
+    likely = soft_target(R).gather(1, prediction.pose_logits.topk(4).indices)
     assert (likely > 0).float().mean() > 0.7
 
 
