@@ -12,7 +12,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -73,9 +73,19 @@ class Cell:
         )
 
     @property
-    def drift(self) -> float:
-        """How far logits move when a cloud is turned, as a share of their size, over seeds."""
+    def drift(self) -> float | None:
+        """How far logits move when a cloud is turned, as a share of their size, over seeds.
+
+        None where a record does not say it of its own test set.
+        """
+        if not all(r.rotation_audit for r in self.results):
+            return None
         return _mean(r.rotation_audit["drift"] for r in self.results)
+
+    @property
+    def cost(self) -> dict[str, Any]:
+        """Of the last seed, which the newest code has measured."""
+        return self.results[-1].cost
 
     @property
     def per_class(self) -> dict[str, float]:

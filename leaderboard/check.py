@@ -16,14 +16,16 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
     """One sentence for each thing that is wrong with the records of ``folder``; empty when sound.
 
     Found are: records that are unreadable, incomplete or edited after they were written; prediction
-    files that are missing or not their record's; two records of one run; prediction files that
-    belong to no record; a ``tuning.csv`` that is not one; and, with ``recompute``, scores that the
-    stored predictions do not give.
+    files that are missing or not their record's; two records of one run; seeds of one row that two
+    versions of a user's model file made; prediction files that belong to no record; a
+    ``tuning.csv`` that is not one; and, with ``recompute``, scores that the stored predictions do
+    not give.
     """
     if not folder.is_dir():
         return [f"no results folder at {folder}"]
     found: list[str] = []
     seen: dict[tuple[object, ...], Path] = {}
+    codes: dict[tuple[object, ...], tuple[str, Path]] = {}
     named: set[str] = set()
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         try:
@@ -37,6 +39,13 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
         if result.identity in seen:
             found.append(results.duplicate_message(path, seen[result.identity], result))
         seen.setdefault(result.identity, path)
+        code, other = codes.setdefault((result.row, *result.column), (result.model_code, path))
+        if code != result.model_code:
+            found.append(
+                f"{path} and {other} are seeds of one row, {result.row}, but the model's file was "
+                f"another (SHA-256 {result.model_code[:12]}, {code[:12]}); train both with one, or "
+                f"give the other a name of its own"
+            )
         found += _predictions_problems(folder, path, result, recompute)
     found += [
         f"{path} belongs to no record; delete it"

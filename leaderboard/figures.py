@@ -250,7 +250,7 @@ def _cost(column: Column) -> Figure:
     figure, axes = _new()
     for name in ranked(column):
         cell = column.cells[name]
-        x, y = cell.results[0].cost["multiply_adds"], 100 * cell.mean()
+        x, y = cell.cost["multiply_adds"], 100 * cell.mean()
         axes.plot(max(x, 1), y, linestyle="", label=_label(column, name), **_look(column, name))
     axes.set_xscale("log")
     axes.margins(0.15)

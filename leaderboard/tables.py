@@ -73,9 +73,9 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
                 line += (
                     [f"{100 * pose.top_1:.1f}", f"{pose.median_deg:.0f}°"] if pose else ["–", "–"]
                 )
-            cost = result.cost
+            cost, drift = cell.cost, cell.drift
             line += [
-                f"{100 * cell.drift:.1f}",
+                "–" if drift is None else f"{100 * drift:.1f}",
                 f"{cost['parameters']:,}",
                 engineering(cost["multiply_adds"]),
                 f"{cost['batch_ms']:.2f}",
@@ -142,10 +142,10 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 " ".join(map(str, comparison.groups[name])), first.scores["duplicates"],
                 alone, cell.mean("class_accuracy"),
                 cell.mean("restricted_accuracy"), cell.mean("calibration_error"), *posed,
-                cell.drift, first.cost["parameters"],
-                first.cost["multiply_adds"], first.cost["latency_ms"], first.cost["batch_ms"],
+                cell.drift, cell.cost["parameters"],
+                cell.cost["multiply_adds"], cell.cost["latency_ms"], cell.cost["batch_ms"],
                 first.training["clouds_seen"], first.training["seconds"],
-                first.training["clouds_per_second"], first.cost["peak_memory_bytes"],
+                first.training["clouds_per_second"], cell.cost["peak_memory_bytes"],
                 None if paper is None else paper / 100,
             ]  # fmt: skip
             writer.writerow(

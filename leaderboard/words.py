@@ -6,7 +6,8 @@ import math
 import re
 
 from leaderboard.board import Cell, Column, protocol_title
-from partialbench.benchmark.results import Result, clouds_before, with_changes
+from partialbench.benchmark.origin import clouds_before
+from partialbench.benchmark.results import Result, with_changes
 
 
 def row_title(result: Result) -> str:

@@ -23,7 +23,7 @@ FORMAT = "partialbench-checkpoint"
 FORMAT_VERSION = 2
 
 IDENTITY = (
-    "model", "variant", "options", "class_names", "num_points", "recipe", "protocol",
+    "model", "model_code", "variant", "options", "class_names", "num_points", "recipe", "protocol",
     "protocol_digest", "train_data", "seed",
 )  # fmt: skip
 """What makes a training the one it is. Beside these a checkpoint has the weights (``state``)."""
@@ -63,7 +63,19 @@ def load(path: Path | str) -> dict[str, Any]:
             f"{path} is a checkpoint of format {content['format_version']}, this version reads "
             f"{FORMAT_VERSION}"
         )
+    content.setdefault("model_code", "")  # checkpoints have not always said it
     return content
+
+
+def require_same_code(content: Mapping[str, Any], path: Path | str) -> None:
+    """Raises ``InputError`` where the file of a user's own model is not what was trained."""
+    now = models.code_digest(content["model"])
+    if content["model_code"] != now:
+        raise InputError(
+            f"the file of {content['model']} has changed since {path} was trained (SHA-256 "
+            f"{content['model_code'][:12] or 'unknown'} there, {now[:12]} now): one record would "
+            f"tell of two models. Test with the file as it was, or train again"
+        )
 
 
 def build_model(content: Mapping[str, Any]) -> nn.Module:

@@ -13,7 +13,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from partialbench.benchmark import checkpoint, results
+from partialbench.benchmark import checkpoint
 from partialbench.benchmark.protocol import Protocol
 from partialbench.errors import InputError
 
@@ -79,11 +79,17 @@ def check_split(start: Start, dataset_id: str, protocol: Protocol) -> None:
         )
 
 
-def begin(model: nn.Module, start: Start, class_names: list[str]) -> list[str]:
+def begin(
+    model: nn.Module, start: Start, class_names: list[str], larger: nn.Module | None = None
+) -> list[str]:
     """Gives the model the weights of the start.
 
-    Between the same classes every weight is taken. Between others, what has another shape (the last
-    layer) stays as it was initialised.
+    Between the same classes, in the same order, every weight is taken. Between others, also as many
+    others, what depends on the classes (the last layer) stays as it was initialised.
+
+    Args:
+        larger: the same model for one class more: what differs from it in shape depends on the
+            classes. Needed where the classes are others.
 
     Returns:
         the names that stayed.
@@ -92,31 +98,26 @@ def begin(model: nn.Module, start: Start, class_names: list[str]) -> list[str]:
         InputError: the weights are of another architecture.
     """
     own = model.state_dict()
-    fitting = {
-        name: tensor
-        for name, tensor in start.state.items()
-        if name in own and own[name].shape == tensor.shape
-    }
-    left = [name for name in own if name not in fitting]
-    foreign = [name for name in start.state if name not in own]
-    if foreign or not fitting or (left and class_names == start.class_names):
+    left: set[str] = set()
+    if class_names != start.class_names:
+        assert larger is not None, "other classes: a model for one more is needed"
+        more = larger.state_dict()
+        left = {name for name in own if name not in more or own[name].shape != more[name].shape}
+    wrong = [
+        name
+        for name in dict.fromkeys([*start.state, *own])
+        if (name in own) != (name in start.state)
+        or (name not in left and own[name].shape != start.state[name].shape)
+    ]
+    if wrong:
         raise InputError(
             f"the starting weights are of another architecture, they do not fit "
-            f"{', '.join([*foreign, *left][:5])}; give the options they were trained with"
+            f"{', '.join(wrong[:5])}; give the options they were trained with"
         )
-    model.load_state_dict(fitting, strict=False)
-    return left
-
-
-def deviations(origin: dict[str, Any] | None) -> list[str]:
-    """What a start changes about the published recipe, in a sentence."""
-    if origin is None:
-        return []
-    data, clouds = origin["train_data"], results.clouds_before(origin)
-    return [
-        f"begun from weights ({origin['name']}) trained on {clouds:,} clouds, last on "
-        f"{data['id']} with {data['points']} points, instead of from random ones"
-    ]
+    model.load_state_dict(
+        {name: tensor for name, tensor in start.state.items() if name not in left}, strict=False
+    )
+    return [name for name in own if name in left]
 
 
 def _digest(state: dict[str, Tensor]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -32,6 +34,17 @@ def create(name: str, num_classes: int, options: Mapping[str, Any] | None = None
             f"called as factory(num_classes) and returns the model"
         )
     return model
+
+
+def code_digest(name: str) -> str:
+    """SHA-256 of the file that a user's "module:factory" is in; "" for a registered name.
+
+    Of that file alone: what it imports is not followed. Call it after ``create``, which finds it.
+    """
+    if ":" not in name:
+        return ""
+    file = getattr(importlib.import_module(name.partition(":")[0]), "__file__", None)
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
 
 
 def card_of(name: str) -> ModelCard:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench.benchmark import older
 from partialbench.benchmark import predictions as prediction_files
 from partialbench.benchmark.batches import Clouds
 from partialbench.benchmark.predictions import Predictions
@@ -20,11 +20,11 @@ from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 FORMAT = "partialbench-result"
-FORMAT_VERSION = 4
-READABLE = (2, 3, FORMAT_VERSION)
-"""Format 2 did not say of a split what ``DataRecord`` has a default for; 3 knew no given pose."""
-_ADDED: dict[str, Any] = {"given_pose": ""}
-"""Fields that records before format 4 did not have, with what they would have said."""
+FORMAT_VERSION = 5
+READABLE = (2, 3, 4, FORMAT_VERSION)
+"""What an earlier format lacked or said otherwise: ``older``."""
+_ADDED = {2: {"given_pose", "model_code"}, 3: {"given_pose", "model_code"}, 4: {"model_code"}}
+"""Fields that came after a format."""
 SUFFIX = ".result.json"
 
 
@@ -75,22 +75,15 @@ def with_changes(name: str, changes: str) -> str:
     return f"{name} [{changes}]" if changes else name
 
 
-def clouds_before(start: Mapping[str, Any] | None) -> int:
-    """Clouds seen by all trainings before one that began from ``start``.
-
-    Args:
-        start: see ``finetune.Start.origin``; None for random weights.
-    """
-    return 0 if start is None else start["clouds_seen"] + clouds_before(start["start"])
-
-
 @dataclass(frozen=True)
 class Result:
     """One model, trained with one seed, on one test set.
 
     Attributes:
         model: registered name or "module:factory".
-        variant: what the user changed about the model or its recipe ("lr=0.01"), "" for nothing.
+        variant: what the user changed about the model, its recipe or precision ("lr=0.01"), "" for
+            nothing.
+        model_code: SHA-256 of the file a user's own model is in, "" for a registered one.
         options: what its factory was given.
         card: snapshot of the model card. recipe: as used. deviations: from the published recipe.
         protocol, protocol_digest: what the run shares with the others of its column.
@@ -98,7 +91,8 @@ class Result:
         given_pose: what the model was told of each test cloud's pose, see ``given_pose.parse``; ""
             for nothing, as ever but for such a test.
         training: see ``train.Trained.summary``.
-        cost: see ``audit.cost``. rotation_audit: see there.
+        cost: see ``audit.cost``. rotation_audit: see there; {} where a record of an earlier format
+            does not say on which test set.
         environment: of the test: hardware, package versions, git commit (None outside a checkout);
             that of the training is in ``training``.
         predictions_file, predictions_sha256: beside the record.
@@ -117,6 +111,7 @@ class Result:
     test_data: DataRecord
     seed: int
     given_pose: str
+    model_code: str
     training: dict[str, Any]
     cost: dict[str, Any]
     rotation_audit: dict[str, Any]
@@ -217,24 +212,26 @@ def read(path: Path) -> Result:
             f"{', '.join(map(str, READABLE))}"
         )
     names = {f.name for f in fields(Result)}
-    added: dict[str, Any] = _ADDED if record["format_version"] < FORMAT_VERSION else {}
-    present = set(record) - {"format", "format_version", "record_sha256"} | set(added)
-    if present != names:
+    expected = names - _ADDED.get(record["format_version"], set())
+    present = set(record) - {"format", "format_version", "record_sha256"}
+    if present != expected:
         raise InputError(
-            f"{path}: missing fields {sorted(names - present)}, unknown {sorted(present - names)}"
+            f"{path}: missing fields {sorted(expected - present)}, unknown "
+            f"{sorted(present - expected)}"
         )
     if record.get("record_sha256") != record_digest(record):
         raise InputError(
             f"{path} was changed after it was written: its digest does not fit. Run the "
             f"evaluation again"
         )
-    complete = added | record
-    values = {name: complete[name] for name in names}
     try:
+        if record["format_version"] < FORMAT_VERSION:
+            record = older.upgraded(record)
+        values = {name: record[name] for name in names}
         values["train_data"] = DataRecord(**record["train_data"])
         values["test_data"] = DataRecord(**record["test_data"])
-    except TypeError as error:
-        raise InputError(f"{path}: a data entry is not what it should be: {error}") from error
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{path}: an entry is not what it should be: {error!r}") from error
     return Result(**values)
 
 

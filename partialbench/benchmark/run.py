@@ -16,6 +16,7 @@ from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import Clouds
 from partialbench.benchmark.memory import keep_freed_memory
+from partialbench.benchmark.older import FULL_PRECISION
 from partialbench.benchmark.protocol import Protocol
 from partialbench.benchmark.results import Result
 from partialbench.benchmark.split import balanced_subset, split_by_object
@@ -26,13 +27,15 @@ from partialbench.registry import Recipe
 
 log = logging.getLogger(__name__)
 
+DEFAULT_PRESET = "mini"
+
 
 def run_eval(
     model: str,
     data: Path | str | None = None,
     test_data: Path | str | None = None,
     checkpoint_file: Path | str | None = None,
-    preset: str = "mini",
+    preset: str = DEFAULT_PRESET,
     seeds: int = 1,
     device: str = "auto",
     results_folder: Path | str = "results",
@@ -56,8 +59,8 @@ def run_eval(
         data: folder of ``partialbench render``: trained on its train split, tested on its test
             split. With a checkpoint, only the test split is used.
         test_data: another such folder; each seed is tested on its test split as well.
-        checkpoint_file: test these weights instead of training; ``seeds``, ``preset`` and recipe
-            do not apply then.
+        checkpoint_file: test these weights instead of training, under the protocol they were
+            trained by: what would change a training is an error then.
         preset: "smoke", "small", "mini", "equal" or "paper"; ``protocol`` and
             ``protocol_overrides`` change its fields (``epochs=2``), which makes it another
             protocol.
@@ -87,21 +90,36 @@ def run_eval(
             raise InputError(
                 "--checkpoint tests weights as they are, --start-from trains on from them: give one"
             )
+        asked = {
+            "--recipe": recipe, "--protocol": protocol or protocol_overrides,
+            "--seeds": seeds != 1, "--first-seed": first_seed,
+            "--precision": precision != FULL_PRECISION,
+        }  # fmt: skip
+        unused = [name for name, given in asked.items() if given]
+        if unused:
+            raise InputError(
+                f"--checkpoint tests finished weights, so {', '.join(unused)} would have no "
+                f"effect; leave it out, or train without --checkpoint"
+            )
         folders = [folder for folder in (data, test_data) if folder is not None]
         return _test_checkpoint(
-            model, Path(checkpoint_file), folders, test_points, poses, options or {}, fabric,
-            results_folder,
+            model, Path(checkpoint_file), folders, preset, test_points, poses, options or {},
+            fabric, results_folder,
         )  # fmt: skip
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
     if seeds < 1:
         raise InputError(f"seeds must be at least 1, got {seeds}")
+    if checkpoint_every is not None and checkpoint_every < 1:
+        raise InputError(f"checkpoint_every must be at least 1 step, got {checkpoint_every}")
 
     if fabric.device.type == "cpu":
         keep_freed_memory()
     followed = protocols.protocol(preset, **{**(protocol or {}), **protocol_overrides})
     card = models.card_of(model)
-    used = recipes.override(recipes.of_protocol(card, followed), recipe or {})
+    own = recipes.of_protocol(card, followed)
+    changed = recipes.changes(own, recipe or {})
+    used = recipes.override(own, changed)
     train_set = ShardDataset(data, "train", followed.num_points)
     folders = [folder for folder in (data, test_data) if folder is not None]
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
@@ -112,7 +130,7 @@ def run_eval(
     written = []
     start = None if start_from is None else finetune.load(start_from, model)
     origin = None if start is None else start.origin
-    variant = describe_changes(recipe or {}, options or {}, origin)
+    variant = describe_changes(changed, options or {}, origin, used_precision(fabric))
     for seed in range(first_seed, first_seed + seeds):
         task = make_task(
             model, train_set, followed, used, seed, dict(options or {}), variant, start
@@ -170,6 +188,7 @@ def _test_checkpoint(
     model_name: str,
     path: Path,
     folders: Sequence[Path | str],
+    preset: str,
     test_points: Sequence[int],
     test_poses: Sequence[str],
     options: Mapping[str, Any],
@@ -186,16 +205,27 @@ def _test_checkpoint(
             f"{path} is of an unfinished training (epoch {content['epoch']}); finish it with "
             f"--resume, the protocol reports the last epoch only"
         )
+    trained_by = content["protocol"]["preset"].removesuffix("+")
+    if preset not in (DEFAULT_PRESET, trained_by):
+        raise InputError(
+            f"{path} was trained by the preset {trained_by!r} and is tested by it, not by "
+            f"{preset!r}"
+        )
     if options:
         content = _with_options(content, options)
     model = checkpoint.build_model(content)
+    checkpoint.require_same_code(content, path)
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
     if test_poses:
         classes = len(content["class_names"])
         testing.try_given_pose(model_name, model, test_sets[0], test_poses[0], classes)
-    return testing.run_tests(content, model, test_sets, test_poses, fabric, results_folder)
+    written = []
+    if fabric.is_global_zero:
+        written = testing.run_tests(content, model, test_sets, test_poses, fabric, results_folder)
+    fabric.barrier()
+    return written
 
 
 def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
@@ -204,7 +234,10 @@ def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dic
     own = recipes.as_dict(recipes.of_protocol(card, followed))
     recipe = {name: value for name, value in content["recipe"].items() if value != own[name]}
     merged = {**content["options"], **options}
-    variant = describe_changes(recipe, merged, content["summary"].get("start"))
+    summary = content["summary"]
+    variant = describe_changes(
+        recipe, merged, summary.get("start"), summary["environment"]["precision"]
+    )
     return {**content, "options": merged, "variant": variant}
 
 
@@ -225,8 +258,10 @@ def _open_test_sets(
 def make_fabric(device: str, precision: str) -> Fabric:
     """A launched Fabric on ``device``; with torchrun's variables set, one process of many."""
     kind, _, index = device.partition(":")
-    if kind not in ("auto", "cpu", "cuda", "mps") or (index and not index.isdigit()):
+    if kind not in ("auto", "cpu", "cuda") or (index and not index.isdigit()):
         raise InputError(f"device must be auto, cpu, cuda or cuda:0 …, got {device!r}")
+    if kind == "auto":  # not Fabric's choice: on a Mac that is one without 64-bit numbers
+        kind = "cuda" if torch.cuda.is_available() else "cpu"
     if kind == "cuda" and not torch.cuda.is_available():
         raise InputError("device cuda was asked for, but torch sees no CUDA device")
     processes, nodes = 1, 1
@@ -244,7 +279,14 @@ def make_fabric(device: str, precision: str) -> Fabric:
     except ValueError as error:
         raise InputError(f"device {device!r}, precision {precision!r}: {error}") from error
     fabric.launch()
+    # cuDNN would round what it convolves to 10 bits, in tests too, and call it 32.
+    torch.backends.cudnn.allow_tf32 = False
     return fabric
+
+
+def used_precision(fabric: Fabric) -> str:
+    """As Fabric names it in full: "bf16-mixed" where "bf16" was asked for."""
+    return str(fabric.strategy.precision.precision)
 
 
 def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> None:
@@ -259,9 +301,15 @@ def describe_changes(
     recipe: Mapping[str, Any],
     options: Mapping[str, Any],
     origin: Mapping[str, Any] | None = None,
+    precision: str = FULL_PRECISION,
 ) -> str:
-    """What was changed about a model, its recipe or its start, as a row has it in brackets."""
+    """What was changed about a model, its recipe, start or precision, as a row has it in brackets.
+
+    A model's answers depend on the precision it was trained in, so it is told where it is not full.
+    """
     changed = [*recipe.items(), *options.items()]
     if origin is not None:
         changed.append(("start", origin["name"]))
+    if precision != FULL_PRECISION:
+        changed.append(("precision", precision))
     return " ".join(f"{k}={v}" for k, v in sorted(changed, key=str))

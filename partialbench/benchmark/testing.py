@@ -16,10 +16,10 @@ from partialbench.benchmark import (
     audit,
     environment,
     evaluate,
-    finetune,
     given_pose,
     metrics,
     models,
+    origin,
     results,
 )
 from partialbench.benchmark import protocol as protocols
@@ -43,29 +43,23 @@ def run_tests(
     """Tests a finished checkpoint's model on each test set, then with each pose given.
 
     Poses are given with clouds of the size trained on alone: a test under two conditions lies on no
-    curve. Cost and audit are measured once for each number of points, without a pose.
+    curve. Cost and audit are measured once for each test set, without a pose.
     """
     device, num_classes = fabric.device, len(content["class_names"])
     model = model.to(device)
-    measured: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
     written = []
     for test_set in test_sets:
-        if test_set.num_points not in measured:
-            # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
-            most = content["protocol"]["max_test_clouds"] or len(test_set)
-            measured[test_set.num_points] = (
-                audit.cost(model, test_set, device, min(audit.COST_BATCH, most)),
-                audit.rotation_audit(
-                    model, test_set, num_classes, device, min(audit.AUDIT_CLOUDS, most)
-                ),
-            )
+        # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
+        most = content["protocol"]["max_test_clouds"] or len(test_set)
+        measured = (
+            audit.cost(model, test_set, device, min(audit.COST_BATCH, most)),
+            audit.rotation_audit(
+                model, test_set, num_classes, device, min(audit.AUDIT_CLOUDS, most)
+            ),
+        )
         poses = test_poses if test_set.num_points == content["num_points"] else ()
         for pose in ("", *poses):
-            written.append(
-                _test(
-                    content, model, test_set, pose, fabric, folder, *measured[test_set.num_points]
-                )
-            )
+            written.append(_test(content, model, test_set, pose, fabric, folder, *measured))
     return written
 
 
@@ -92,12 +86,13 @@ def _test(
     result = Result(
         model=card.name,
         variant=content["variant"],
+        model_code=content["model_code"],
         options=dict(content["options"]),
         card=_card_as_dict(card),
         recipe=recipe,
         deviations=[
             *recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
-            *finetune.deviations(content["summary"].get("start")),
+            *origin.deviations(content["summary"].get("start")),
         ],
         protocol=protocol.as_dict(),
         protocol_digest=protocol.digest,

@@ -83,6 +83,7 @@ class Task:
         """What makes it this training and no other: plain data, stored in every checkpoint."""
         return {
             "model": self.model,
+            "model_code": models.code_digest(self.model),
             "variant": self.variant,
             "options": dict(self.options),
             "class_names": list(self.dataset.class_names),
@@ -171,15 +172,19 @@ def train(
         ConfigurationMismatchError: the checkpoint to resume is of another training.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    path, identity = folder / "checkpoint.pt", task.identity()
+    path = folder / "checkpoint.pt"
     class_names = list(task.dataset.class_names)
     num_classes = len(class_names)
 
     # The model, its optimiser and schedule, and the batches: all from the seed and the recipe.
     torch.manual_seed(step_seed(task.seed, "init"))
     bare = models.create(task.model, num_classes, task.options)
+    identity = task.identity()
     if task.start is not None:
-        fresh = finetune.begin(bare, task.start, class_names)
+        larger = None
+        if class_names != task.start.class_names:
+            larger = models.create(task.model, num_classes + 1, task.options)
+        fresh = finetune.begin(bare, task.start, class_names, larger)
         log.info("begun from %s%s", task.start.origin["name"],
                  f"; of other classes, so new: {', '.join(fresh)}" if fresh else "")  # fmt: skip
     wrapped = WithLoss(
@@ -341,8 +346,8 @@ def _require_same_training(saved: dict[str, Any], identity: dict[str, Any], path
     if differing:
         details = "; ".join(f"{n}: {saved[n]!r} there, {identity[n]!r} now" for n in differing)
         raise ConfigurationMismatchError(
-            f"{path} is of another training ({details}); choose another --results folder or run "
-            f"without --resume to start over"
+            f"{path} is of another training ({details}); choose another --results folder, or "
+            f"start over: delete {path.parent}, or run eval without --resume"
         )
 
 

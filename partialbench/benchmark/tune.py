@@ -15,7 +15,13 @@ from partialbench.benchmark import finetune, models
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.memory import keep_freed_memory
-from partialbench.benchmark.run import describe_changes, make_fabric, make_task, run_folder
+from partialbench.benchmark.run import (
+    describe_changes,
+    make_fabric,
+    make_task,
+    run_folder,
+    used_precision,
+)
 from partialbench.benchmark.train import train
 from partialbench.benchmark.trials import FILE, Trial, add_trial
 from partialbench.dataset.loader import ShardDataset
@@ -67,21 +73,19 @@ def tune(
     train_set = ShardDataset(data, "train", followed.num_points)
     own = recipes.of_protocol(models.card_of(model), followed)
     # All are checked before the first is trained.
-    used = [recipes.override(own, changes) for changes in tries]
+    used = [recipes.override(own, recipes.changes(own, each)) for each in tries]
     chosen = dict(options or {})
     start = None if start_from is None else finetune.load(start_from, model)
-    origin = None if start is None else start.origin
+    origin, bits = None if start is None else start.origin, used_precision(fabric)
     trials = []
     for changes, recipe in zip(tries, used, strict=True):
-        task = make_task(
-            model, train_set, followed, recipe, seed, chosen,
-            describe_changes(changes, chosen, origin), start,
-        )  # fmt: skip
+        variant = describe_changes(recipes.changes(own, changes), chosen, origin, bits)
+        task = make_task(model, train_set, followed, recipe, seed, chosen, variant, start)
         folder, tried = results_folder / "runs" / run_folder(task), describe_changes(changes, {})
         log.info("trying %s in %s", tried or "the recipe as it is", folder)
         summary = train(task, fabric, folder, resume=True).summary
         trial = Trial(
-            model, describe_changes({}, chosen, origin), tried, seed, train_set.digest,
+            model, describe_changes({}, chosen, origin, bits), tried, seed, train_set.digest,
             followed.digest, summary["clouds_seen"], summary["train_loss"],
             summary["validation_accuracy"],
         )  # fmt: skip

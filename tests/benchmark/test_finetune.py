@@ -9,7 +9,8 @@ import torch
 from typer.testing import CliRunner
 
 from leaderboard.words import budget
-from partialbench.benchmark import checkpoint, finetune, results
+from partialbench.benchmark import checkpoint, finetune
+from partialbench.benchmark.origin import clouds_before
 from partialbench.benchmark.run import run_eval
 from partialbench.cli import app
 from partialbench.errors import InputError
@@ -58,21 +59,27 @@ def test_the_chain_of_starts_is_counted(data, weights, tmp_path):
     tune(data, weights, tmp_path / "once")
     once = next((tmp_path / "once" / "runs").glob("*/checkpoint.pt"))
     (record,) = tune(data, once, tmp_path / "twice")
-    assert results.clouds_before(record.training["start"]) == 128
+    assert clouds_before(record.training["start"]) == 128
     assert "trained on 128 clouds" in record.deviations[-1]
 
 
 def test_other_classes_get_a_new_last_layer(other, weights, tmp_path):
     (record,) = tune(other, weights, tmp_path, **STILL)
     before, after = checkpoint.load(weights), trained(tmp_path)
-    # Posed's last layer has the 60 bins and the classes: as many here as there.
+    # Posed's last layer has the 60 bins and the classes: as many here as there, but others.
     assert len(before["class_names"]) == len(record.train_data.class_names)
+    head = ["body.head.2.weight", "body.head.2.bias"]
+    for name in before["state"]:
+        if "running" not in name and "num_batches" not in name:
+            same = torch.equal(before["state"][name], after["state"][name])
+            assert same == (name not in head), name
     start = finetune.load(weights, f"{MODELS}:Posed")
-    model = Posed(5)
-    fresh = finetune.begin(model, start, ["a", "b", "c", "d", "e"])
-    assert fresh == ["body.head.2.weight", "body.head.2.bias"]
-    assert torch.equal(model.state_dict()["body.points.0.weight"],
-                       before["state"]["body.points.0.weight"])  # fmt: skip
+    reversed_names = start.class_names[::-1]
+    for names in (["a", "b", "c", "d", "e"], ["a", "b", "c"], reversed_names):
+        model = Posed(len(names))
+        assert finetune.begin(model, start, names, Posed(len(names) + 1)) == head
+        assert torch.equal(model.state_dict()["body.points.0.weight"],
+                           before["state"]["body.points.0.weight"])  # fmt: skip
     # A test object that either training has seen is a duplicate.
     assert set(after["train_sources"]) >= set(before["train_sources"])
 
@@ -116,6 +123,12 @@ def test_weights_of_another_architecture_are_refused(weights):
     wide.body = Bare(63, width=32)
     with pytest.raises(InputError, match=r"body\.points\.0\.weight"):
         finetune.begin(wide, start, start.class_names)
+    # Neither between other classes, where a new last layer is all that may be new.
+    wider = Posed(4)
+    wider.body = Bare(64, width=32)
+    wide.num_classes = 3
+    with pytest.raises(InputError, match=r"body\.points\.0\.weight"):
+        finetune.begin(wide, start, ["a", "b", "c"], wider)
 
 
 def test_from_the_command_line(data, weights, tmp_path):

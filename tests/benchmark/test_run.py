@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import importlib
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,10 +16,11 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from leaderboard.check import problems
 from partialbench.benchmark import metrics, results
 from partialbench.benchmark.run import run_eval
 from partialbench.cli import app
-from partialbench.errors import InputError
+from partialbench.errors import ConfigurationMismatchError, InputError
 from tests.benchmark.memory_clouds import data_folder
 from tests.benchmark.tiny_models import MODELS, SMALL, Bare
 
@@ -191,7 +195,10 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"recipe": {"learning_rate": 1}}, "a recipe has no field 'learning_rate'"),
         ({"num_points": 4096}, "4096 were asked for"),
         ({"data": None}, "nothing to train on"),
-        ({"checkpoint_file": "no.pt"}, "no checkpoint at no.pt"),
+        ({"checkpoint_file": "no.pt"}, "--protocol would have no effect"),
+        ({"checkpoint_every": 0}, "checkpoint_every must be at least 1 step, got 0"),
+        ({"recipe": {"batch_size": 200}, "max_train_clouds": 1}, "batches of 2 clouds or more"),
+        ({"options": {"widht": 8}}, "no option 'widht'; did you mean width"),
         ({"precision": "32-false"}, "precision '32-false'"),
     ],
 )
@@ -199,6 +206,93 @@ def test_wrong_arguments_are_named(data, tmp_path, arguments, message):
     given = {**SMALL, "data": data, "results_folder": tmp_path, **arguments}
     with pytest.raises(InputError, match=message):
         run_eval(f"{MODELS}:Bare", **given)
+
+
+def test_weights_are_tested_as_they_were_trained_or_not_at_all(done, data, tmp_path):
+    path = next((done[1] / "runs").glob("*seed1")) / "checkpoint.pt"
+    same = {"device": "cpu", "results_folder": tmp_path, "checkpoint_file": path}
+    for other, message in (
+        ({"recipe": {"lr": 0.1}, "seeds": 3}, "--recipe, --seeds would have no effect"),
+        ({"preset": "paper"}, "by the preset 'smoke' and is tested by it, not by 'paper'"),
+        ({"precision": "bf16-mixed"}, "--precision would have no effect"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run_eval(f"{MODELS}:Posed", data, **same, **other)
+    (record,) = run_eval(f"{MODELS}:Posed", data, preset="smoke", **same)
+    assert record.protocol["preset"] == "smoke+"
+
+
+def test_another_precision_is_another_row(data, tmp_path):
+    rows = [
+        run_eval(f"{MODELS}:Bare", data, results_folder=tmp_path, precision=bits, **SMALL)[0]
+        for bits in ("32-true", "bf16")
+    ]
+    assert [r.variant for r in rows] == ["", "precision=bf16-mixed"]
+    assert len(results.read_folder(tmp_path)) == 2
+    path = next((tmp_path / "runs").glob("*precision*")) / "checkpoint.pt"
+    (again,) = run_eval(
+        f"{MODELS}:Bare", data, checkpoint_file=path, device="cpu", options={"width": 16},
+        results_folder=tmp_path / "again",
+    )  # fmt: skip
+    assert again.variant == "precision=bf16-mixed width=16"
+
+
+def test_a_recipe_given_as_it_is_makes_no_other_row(data, tmp_path):
+    (plain,) = run_eval(f"{MODELS}:Bare", data, results_folder=tmp_path, **SMALL)
+    (same,) = run_eval(
+        f"{MODELS}:Bare", data, results_folder=tmp_path, recipe={"lr": 1e-3}, **SMALL
+    )
+    assert same.run_name == plain.run_name
+
+
+def test_each_test_set_has_its_own_turned_clouds(done, data, other, tmp_path):
+    """They were the first one's, whatever else was tested beside it."""
+    beside = next(r for r in done[0] if r.test_data.id == "toy-rooms")
+    path = next((done[1] / "runs").glob("*seed0")) / "checkpoint.pt"
+    (alone,) = run_eval(
+        f"{MODELS}:Posed", other, checkpoint_file=path, device="cpu", results_folder=tmp_path
+    )
+    assert beside.rotation_audit == alone.rotation_audit
+    assert beside.rotation_audit != done[0][0].rotation_audit
+
+
+MINE = """
+import torch
+class Mine(torch.nn.Module):
+    def __init__(self, num_classes):
+        super().__init__()
+        self.layer = torch.nn.Linear(3, num_classes)
+    def forward(self, clouds):
+        return self.layer(clouds.{pooled}(dim=1))
+"""
+
+
+def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(data, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def write(pooled):
+        (tmp_path / "edited_model.py").write_text(MINE.format(pooled=pooled))
+        sys.modules.pop("edited_model", None)
+        importlib.invalidate_caches()
+        shutil.rmtree(tmp_path / "__pycache__", ignore_errors=True)
+
+    def train(**more):
+        return run_eval("edited_model:Mine", data, results_folder="out", **{**SMALL, **more})
+
+    write("mean")
+    (before,) = train()
+    assert before.model_code == hashlib.sha256(Path("edited_model.py").read_bytes()).hexdigest()
+    assert train(resume=True)[0].model_code == before.model_code
+    write("sum")
+    with pytest.raises(ConfigurationMismatchError, match="model_code"):
+        train(resume=True)
+    path = next(Path("out/runs").glob("*/checkpoint.pt"))
+    with pytest.raises(InputError, match="has changed since"):
+        run_eval("edited_model:Mine", data, checkpoint_file=path, results_folder="out")
+    train(first_seed=1)
+    (problem,) = problems(Path("out"))
+    assert "seeds of one row, edited_model:Mine" in problem
 
 
 def test_a_test_set_without_a_shared_class_is_refused(data, tmp_path):

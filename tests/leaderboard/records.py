@@ -54,7 +54,7 @@ def predictions(
 def record(
     name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="mini",
     test=None, test_digest="b", paper=None, title=None, variant="", options=None,
-    points=None, sensor="", setting="partial", given_pose="", clouds=100,
+    points=None, sensor="", setting="partial", given_pose="", clouds=100, model_code="",
 ) -> Result:  # fmt: skip
     card = ModelCard(
         name=name, entry=f"x:{name}", title=title or name.upper(), paper="Somebody et al., 2021",
@@ -77,6 +77,7 @@ def record(
         ),
         seed=seed,
         given_pose=given_pose,
+        model_code=model_code,
         training={"epochs": 2, "steps": 6, "clouds_seen": 200, "seconds": 1.5,
                   "clouds_per_second": 300.0, "train_loss": 0.5, "validation_accuracy": 0.7,
                   "peak_memory_bytes": 2**28, "environment": ENVIRONMENT,

@@ -1,0 +1,43 @@
+"""Records of earlier formats, read as today's: a record is never rewritten.
+
+- Format 2 did not say of a split what ``results.DataRecord`` has a default for.
+- Up to 3 no pose was given.
+- Up to 4 a training's precision was no part of its row's name; a user's model had no digest of its
+  code; deviations named the number of epochs of the recipe as used as the published one; and where
+  several test sets were tested at once, the turned clouds were the first one's.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from partialbench.benchmark import origin
+from partialbench.benchmark import protocol as protocols
+from partialbench.benchmark import recipe as recipes
+from partialbench.registry import Recipe
+
+FULL_PRECISION = "32-true"
+
+
+def upgraded(record: dict[str, Any]) -> dict[str, Any]:
+    """The fields of a record of an earlier format as today's has them."""
+    training, card, used = record["training"], record["card"], record["recipe"]
+    variant, precision = record["variant"], training["environment"]["precision"]
+    if precision != FULL_PRECISION:
+        variant = " ".join(sorted([*variant.split(), f"precision={precision}"]))
+    train, test = record["train_data"], record["test_data"]
+    return {
+        "given_pose": "",
+        "model_code": "",
+        **record,
+        "variant": variant,
+        "deviations": [
+            *recipes.deviations(
+                Recipe(**card["recipe"]), Recipe(**used),
+                protocols.from_dict(record["protocol"]), train["clouds"],
+            ),
+            *origin.deviations(training.get("start")),
+        ],
+        # Nothing says whether this test set was the first.
+        "rotation_audit": record["rotation_audit"] if test["id"] == train["id"] else {},
+    }  # fmt: skip
