@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from baselines.balls import Balls
+from baselines.processes import pooled
 
 CHUNK, DEVICE_CHUNK = 1 << 20, 1 << 26
 """Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache, and on
@@ -147,6 +148,7 @@ class Normed(nn.Module):
         Args:
             moments: mean and variance (C_out,) of y over the batch, the variance divided by the
                 count; they move the running statistics. None, in evaluation, uses those instead.
+                Of several processes each gives those of its share.
             count: how many values the moments are of.
         """
         norm = self.norm
@@ -155,15 +157,16 @@ class Normed(nn.Module):
         if moments is None:
             mean, var = norm.running_mean, norm.running_var
         else:
-            mean, var = moments
-            self._track(mean, var, count)
+            mean, var, total = pooled(*moments, count)
+            self._track(mean, var, total)
         scale = norm.weight * torch.rsqrt(var + norm.eps)
         return scale, norm.bias - scale * mean
 
     @torch.no_grad()
-    def _track(self, mean: Tensor, var: Tensor, count: int) -> None:
+    def _track(self, mean: Tensor, var: Tensor, count: int | Tensor) -> None:
         norm = self.norm
-        if count < 2:
+        # Two processes have two values at least; to look at the tensor would wait for the device.
+        if isinstance(count, int) and count < 2:
             raise ValueError(
                 f"batch norm needs more than one value a channel in training, got {count}"
             )

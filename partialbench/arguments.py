@@ -47,15 +47,25 @@ def numbers(text: str, count: int, option: str) -> list[float]:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if len(values) != count:
+    if len(values) != count or not np.isfinite(values).all():
         raise typer.BadParameter(f"{option} takes {count} numbers with commas, got {text!r}")
     return values
+
+
+def _whole(value: float, what: str, option: str) -> int:
+    if value != int(value):
+        raise typer.BadParameter(f"{option}: {what} is {value:g}, expected a whole number")
+    return int(value)
 
 
 def camera(text: str) -> Camera:
     """A fixed camera from FX,FY,CX,CY,WIDTH,HEIGHT in pixels."""
     fx, fy, cx, cy, width, height = numbers(text, 6, "--camera")
-    return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), int(width), int(height))
+    size = _whole(width, "WIDTH", "--camera"), _whole(height, "HEIGHT", "--camera")
+    try:
+        return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), *size)
+    except ValueError as error:
+        raise typer.BadParameter(f"--camera {text!r}: {error}") from error
 
 
 def counts(text: str) -> tuple[int, int] | str:
@@ -63,4 +73,4 @@ def counts(text: str) -> tuple[int, int] | str:
     if text == "modelnet40":
         return text
     train, test = numbers(text, 2, "--counts")
-    return int(train), int(test)
+    return _whole(train, "TRAIN", "--counts"), _whole(test, "TEST", "--counts")

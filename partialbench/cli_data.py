@@ -160,8 +160,16 @@ def render(
         raise PartialbenchError(
             f"{kinds['failed']} input(s) could not be used; {out / 'failures.jsonl'} has the "
             f"reasons. The rest is complete: accept that with --allow-failures, or mend them and "
-            f"run the same command with --retry-failed"
+            f"{_then(manifest)}"
         )
+
+
+def _then(manifest: Any) -> str:
+    """What to do once the inputs that failed are mended."""
+    unlisted = sum(f["kind"] == "failed" for f in manifest.listing_failures)
+    # What listing could not read is another listing once it is mended, and so another data set.
+    new = f"render into a new folder, as {unlisted} of them could not be listed"
+    return new if unlisted else "run the same command with --retry-failed"
 
 
 def _build(plan: Any, workers: int, scheduler: str | None, retry_failed: bool) -> Any:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from baselines.processes import pooled
 from baselines.steerable.basis import kernel_basis, kernel_gain
 from baselines.steerable.factorised import FactorisedConvolution, Geometry
 from baselines.steerable.fields import Fields
@@ -211,7 +212,8 @@ class SteerableConvolution(nn.Module):
                 var.append(scalar_var)
             else:
                 var.append(part.square().mean((0, 3, 4, 5)).sum(1))
-        var_all = torch.cat(var)
+        values = len(x) * x[0, 0].numel()
+        mean, var_all, _ = pooled(mean, torch.cat(var), values)
         with torch.no_grad():
             self.running_mean.lerp_(mean.to(self.running_mean.dtype), self.momentum)
             self.running_var.lerp_(var_all.to(self.running_var.dtype), self.momentum)

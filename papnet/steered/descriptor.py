@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.points import full_precision, normalise
+from baselines.processes import pooled
 from papnet.steered.encoder import Encoder
 from papnet.steered.geometry import SHELLS, geometry
 from partialbench.errors import InputError
@@ -42,6 +43,7 @@ class DegreeNorm(nn.Module):
         if self.training:
             mean = x.mean((0, 2)) if self.degree == 0 else torch.zeros_like(mean)
             square = (x - mean[:, None]).square().mean((0, 2))
+            mean, square, _ = pooled(mean, square, len(x) * x.shape[2])
             with torch.no_grad():
                 self.mean.lerp_(mean.to(self.mean.dtype), self.momentum)
                 self.square.lerp_(square.to(self.square.dtype), self.momentum)

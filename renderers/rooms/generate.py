@@ -15,7 +15,7 @@ from typing import Any
 from partialbench.dataset.manifest import json_digest
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import write_atomically
-from partialbench.errors import ConfigurationMismatchError, InputError
+from partialbench.errors import ConfigurationMismatchError, InputError, PartialbenchError
 from renderers.rooms.layout import ROOM_TYPES, furnish
 from renderers.rooms.scan import import_open3d, scan
 from renderers.rooms.trajectory import walk
@@ -73,7 +73,7 @@ def generate_rooms(
     Raises:
         InputError: num_rooms or workers below 1, an unknown sensor, a folder with other things.
         ConfigurationMismatchError: the folder was made with another seed, sensor or edition.
-        PartialbenchError: Open3D does not import.
+        PartialbenchError: Open3D does not import, or the folder cannot be used or is full.
     """
     if num_rooms < 1 or workers < 1:
         raise InputError(f"num_rooms and workers must be at least 1, got {num_rooms}, {workers}")
@@ -83,14 +83,20 @@ def generate_rooms(
     configuration = {
         "seed": seed, "sensor": sensor, "generation": GENERATION, "shapes": SHAPES_GENERATION
     }  # fmt: skip
-    _stamp(out, configuration)
-    (out / "scans").mkdir(exist_ok=True)
-    with open(out / ".lock", "w") as lock:
-        # A second run into the same folder waits, and then finds the rooms made.
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        jobs = [(out / "scans", index, seed, sensor) for index in range(num_rooms)]
-        _make_missing(jobs, workers, on_progress or (lambda done, total: None))
-        return _collect(out, num_rooms)
+    try:
+        _stamp(out, configuration)
+        (out / "scans").mkdir(exist_ok=True)
+        with open(out / ".lock", "w") as lock:
+            # A second run into the same folder waits, and then finds the rooms made.
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            jobs = [(out / "scans", index, seed, sensor) for index in range(num_rooms)]
+            _make_missing(jobs, workers, on_progress or (lambda done, total: None))
+            return _collect(out, num_rooms)
+    except OSError as error:
+        raise PartialbenchError(
+            f"cannot keep simulated rooms in {out}: {error.strerror or error}. Rooms that were "
+            f"finished stay; mend that folder, or set XDG_CACHE_HOME to one with 12 MB a room free"
+        ) from error
 
 
 def _make_missing(

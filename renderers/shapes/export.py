@@ -47,7 +47,7 @@ def export_tree(
         The number of files written.
 
     Raises:
-        InputError: an unknown format or class, or bad counts.
+        InputError: an unknown format or class, bad counts, or ``out`` cannot be made.
     """
     for name in formats:
         if name not in FORMATS:
@@ -62,13 +62,22 @@ def export_tree(
             if wanted is not None and name not in wanted:
                 continue
             if folder != (folder := Path(out) / name / split):
-                folder.mkdir(parents=True, exist_ok=True)
+                _make_folder(folder)
                 log.info("%s/%s", name, split)
             mesh = source.load(ref)
             for suffix in formats:
                 _write(mesh, folder / f"{ref.object_id}.{suffix}", suffix)
                 written += 1
     return written
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"--out: cannot make the folder {folder}: {error.strerror}; choose another"
+        ) from error
 
 
 def _write(mesh: trimesh.Trimesh, path: Path, suffix: str) -> None:

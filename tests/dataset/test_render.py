@@ -6,13 +6,16 @@ import trimesh
 from typer.testing import CliRunner
 
 from partialbench.cli import app
+from partialbench.cli_data import _then
 from partialbench.dataset.build import build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.render import plan_render, source_of
+from partialbench.dataset.sources import RejectedObject
 from partialbench.dataset.verify import verify
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
+from tests.dataset import toy
 
 SMALL = {"views": 2, "points": 128, "source_options": {"counts": (1, 1)}}
 
@@ -88,6 +91,30 @@ def test_another_source_is_told_and_judges_nothing(lying):
     noted = " ".join(run.stderr.split())
     assert "surface not checked: the source is not what the folder was made from" in noted
     assert "listing_sha256: folder has" in noted
+
+
+def test_the_closing_message_names_what_makes_a_mended_input(tmp_path):
+    tree, out = tmp_path / "meshes", tmp_path / "data"
+    for split in ("train", "test"):
+        (tree / "crate" / split).mkdir(parents=True)
+        trimesh.creation.box((1, 2, 3)).export(tree / "crate" / split / "one.off")
+    (tree / "crate" / "train" / "two.off").write_text("OFF\n8 12 0\n0 0 0\n")
+    command = ["render", "pm40", "--source", str(tree), "--out", str(out), "--views", "1",
+               "--points", "64", "--resolution", "32", "--workers", "1"]  # fmt: skip
+    run = CliRunner().invoke(app, command)
+    assert run.exit_code == 1
+    assert "with --retry-failed" in str(run.exception)
+    trimesh.creation.box((1, 1, 3)).export(tree / "crate" / "train" / "two.off")
+    assert CliRunner().invoke(app, command).exit_code == 1
+    run = CliRunner().invoke(app, [*command, "--retry-failed"])
+    assert run.exit_code == 0
+    assert "2 train rows" in run.stdout
+
+
+def test_what_could_not_be_listed_needs_a_new_folder(tmp_path):
+    lost = RejectedObject("scene0001_00", "train", "damaged PLY", failed=True)
+    manifest = build(toy.plan(tmp_path, source=toy.ToySource(rejected=[lost])), InlineExecutor)
+    assert "a new folder, as 1 of them could not be listed" in _then(manifest)
 
 
 def test_shapes_of_another_generation_leave_the_digests_to_check(tmp_path, monkeypatch):

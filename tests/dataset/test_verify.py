@@ -129,6 +129,13 @@ def test_an_edited_manifest_and_a_missing_one_are_errors(folder, tmp_path):
         verify(tmp_path / "nowhere")
 
 
+def test_a_manifest_that_is_no_text_is_an_error(folder):
+    path = folder / "manifest.json"
+    path.write_bytes(b"\xff\xfe" + path.read_bytes())
+    with pytest.raises(InputError, match=r"manifest\.json is damaged \(UnicodeDecodeError"):
+        verify(folder)
+
+
 def test_surface_distance_of_a_cloud_is_to_its_nearest_point():
     cloud = np.array([[0, 0, 0], [1, 0, 0]], np.float32)
     assert surface_distance(cloud, np.array([[0.25, 0, 0], [1, 0, 0.5]])) == pytest.approx(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import builtins
+import errno
 import json
+import os
 import shutil
 from collections import Counter
 
@@ -17,6 +19,7 @@ from partialbench.dataset.shards import file_sha256
 from partialbench.dataset.sources import View
 from partialbench.errors import ConfigurationMismatchError, InputError, PartialbenchError
 from partialbench.geometry.rotations import geodesic_angle
+from renderers.rooms import generate
 from renderers.rooms.furniture import KINDS
 from renderers.rooms.generate import GENERATION, generate_rooms, split_of
 from renderers.rooms.layout import furnish
@@ -149,6 +152,20 @@ def test_wrong_arguments(tmp_path):
     with pytest.raises(InputError, match="is not empty"):
         generate_rooms(tmp_path, 1)
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_folder_that_cannot_be_used_or_is_full_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(generate, "import_open3d", lambda: None)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(PartialbenchError, match=r"file/rooms: Not a directory.*XDG_CACHE_HOME"):
+        generate_rooms(tmp_path / "file" / "rooms", 1)
+
+    def fill(job):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(generate, "_make_room", fill)
+    with pytest.raises(PartialbenchError, match=r"rooms: No space left.*XDG_CACHE_HOME"):
+        generate_rooms(tmp_path / "rooms", 1)
 
 
 def test_without_open3d_the_error_names_what_is_missing(tmp_path, monkeypatch):

@@ -51,6 +51,9 @@ def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path: Path) 
         with pytest.raises(InputError, match=message):
             export_tree(tmp_path / "tree", *arguments)
     assert not (tmp_path / "tree").exists()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"cannot make the folder .*file.*: Not a directory"):
+        export_tree(tmp_path / "file", (1, 1), classes=["chair"])
 
 
 def test_the_sheet_shows_different_variants() -> None:
