@@ -11,9 +11,11 @@ def require_whole(content: bytes) -> None:
     trimesh checks the length of binary files only and takes a text cut short for a smaller object.
     What is no ASCII PLY with a whole header passes: its parser says what is wrong with it.
     """
-    header, end, body = content.partition(b"end_header")
-    lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
-    if not end or ["format", "ascii", "1.0"] not in lines:
+    end = content.find(b"end_header")
+    lines = [
+        line.split() for line in content[: max(end, 0)].decode("ascii", "replace").splitlines()
+    ]
+    if ["format", "ascii", "1.0"] not in lines:
         return
     elements: list[tuple[str, int]] = []
     properties: dict[str, list[bool]] = {}
@@ -24,8 +26,8 @@ def require_whole(content: bytes) -> None:
             properties.setdefault(elements[-1][0], []).append(words[0] == "list")
     counted = [(name, count) for name, count in elements if count]
     expected = sum(count for _, count in counted)
-    # One line an element; the first is what is left of the header's last.
-    rows = body.splitlines()[1:]
+    # One line an element, behind the header's last.
+    rows = content[end:].splitlines()[1:]
     said = " and ".join(f"{count} {name}" for name, count in counted)
     if len(rows) < expected:
         raise InputError(
