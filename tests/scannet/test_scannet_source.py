@@ -6,12 +6,8 @@ import pickle
 import numpy as np
 import pytest
 
-from partialbench.dataset.build import BuildPlan, build
 from partialbench.dataset.categories import PS15
-from partialbench.dataset.executors import InlineExecutor
-from partialbench.dataset.rows import Job
 from partialbench.dataset.seeding import generator
-from partialbench.dataset.shards import read_columns
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import geodesic_angle
@@ -21,7 +17,6 @@ from renderers.sources.scannet.filters import Rules
 from renderers.sources.scannet.instances import SECOND
 from renderers.sources.scannet.occluder import ScanHprOccluder
 from renderers.sources.scannet.source import NO_PLACE, ScanNetInstances, counts_table
-from renderers.whole import WholeOccluder
 from tests.scannet.scenes import (
     CHAIR,
     PRINTER,
@@ -217,27 +212,6 @@ def test_more_scenes_are_another_source(tmp_path, things):
     assert before["scenes"] == after["scenes"]
     assert before != after
     assert open_source(tmp_path).describe() == after
-
-
-def test_every_setting_keeps_the_instances_symmetry_and_rotated_has_all_rotations(tmp_path, things):
-    chair = Thing("chair", CHAIR, (0.5, 0.5, 0.8), (1.4, 1.1), sym="__SYM_ROTATE_UP_4")
-    write_annotations(tmp_path, [write_scene(tmp_path, "scene0001_00", [things[0], chair])])
-    source = open_source(tmp_path)
-    split = source.splits()[0]
-    rows = {}
-    for setting, occluder in (
-        ("partial", ScanHprOccluder()), ("rotated", WholeOccluder()), ("aligned", WholeOccluder()),
-    ):  # fmt: skip
-        out = tmp_path / setting
-        job = Job(source, occluder, "ps15", setting, {split: 40}, 64, 0)
-        build(BuildPlan(job, out, (split,)), InlineExecutor)
-        rows[setting] = read_columns(out / f"{split}-00000.h5")
-        of = dict(zip(rows[setting]["object_id"], rows[setting]["symmetry"], strict=True))
-        assert of == {b"scene0001_00/0": b"none", b"scene0001_00/1": b"z-90"}, setting
-    # Where the object's up points in the image: a person holds the camera upright (y is down).
-    up = {setting: r["R_camera_object"][:, 1, 2] for setting, r in rows.items()}
-    assert up["partial"].max() < -0.4
-    assert (up["rotated"] > 0).mean() == pytest.approx(0.5, abs=0.15)
 
 
 def test_nothing_at_all_is_an_error_that_says_why(scannet):

@@ -34,13 +34,13 @@ from renderers.sources.scannet.frames import (
 )
 from renderers.sources.scannet.instances import Instance, box_residual_m, segment
 from renderers.sources.scannet.scan2cad import SceneAnnotation, read_annotations
+from renderers.sources.scannet.splits import read_split_file, split_by_hash
 from renderers.viewpoints import places_for, standing_places, standing_pose
 
 PAPER_COUNTS = {"train": 22_670, "test": 5_650}
 """Samples of the paper's PS15 (section 5.1)."""
 PAPER_VIEWS = 10
 VIEWPOINTS = ("standing", "uniform")
-TRAIN_SHARE = 0.8
 NO_PLACE = "no place to stand: no free floor within sight of it"
 
 
@@ -172,8 +172,7 @@ class ScanNetInstances:
         space = space_of(scene_id)
         if self._splits is not None:
             return self._splits.get(scene_id, self._splits.get(space))
-        digest = hashlib.sha256(space.encode()).digest()
-        return "train" if int.from_bytes(digest[:8], "big") < TRAIN_SHARE * 2**64 else "test"
+        return split_by_hash(space)
 
     def splits(self) -> tuple[str, ...]:
         """The splits that have objects."""
@@ -368,26 +367,6 @@ def _plain(annotation: SceneAnnotation) -> list[Any]:
         [m.index, m.catid, m.cad_id, m.symmetry, m.M_scan_cad.tolist(), m.centre.tolist(),
          m.half_extent.tolist(), m.problem] for m in annotation.models
     ]  # fmt: skip
-
-
-def read_split_file(path: Path) -> dict[str, str]:
-    """Scene or space id → split, from JSON {"train": [...], "test": [...]}.
-
-    Raises:
-        InputError: it is not that, or an id is in both.
-    """
-    try:
-        lists = json.loads(Path(path).read_bytes())
-        splits = {name: split for split in ("train", "test") for name in lists[split]}
-        twice = sorted(set(lists["train"]) & set(lists["test"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f'split file {path}: expected JSON {{"train": [scene ids], "test": [scene ids]}} '
-            f"({type(error).__name__}: {error})"
-        ) from error
-    if twice:
-        raise InputError(f"split file {path}: {', '.join(twice[:5])} is in both train and test")
-    return splits
 
 
 def counts_table(counts: dict[str, dict[str, int]], views: int = PAPER_VIEWS) -> str:
