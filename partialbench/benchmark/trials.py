@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import io
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -69,11 +70,16 @@ def read_trials(path: Path) -> list[Trial]:
 
 
 def add_trial(path: Path, trial: Trial) -> None:
-    """Writes the file anew with the trial in the place of an earlier one of the same identity."""
-    kept = {old.identity: old for old in read_trials(path)} | {trial.identity: trial}
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, [f.name for f in fields(Trial)], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(kept[identity]) for identity in sorted(kept, key=repr))
+    """Writes the file anew with the trial in the place of an earlier one of the same identity.
+
+    Several processes may add to one file at once: each waits for the one before.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, text.getvalue().encode())
+    with open(path.with_name(f".{path.name}.lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        kept = {old.identity: old for old in read_trials(path)} | {trial.identity: trial}
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, [f.name for f in fields(Trial)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(kept[identity]) for identity in sorted(kept, key=repr))
+        write_atomically(path, text.getvalue().encode())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 
 import pytest
@@ -12,7 +13,7 @@ import torch
 from typer.testing import CliRunner
 
 from partialbench.benchmark import checkpoint
-from partialbench.benchmark.trials import FILE, read_trials
+from partialbench.benchmark.trials import FILE, Trial, add_trial, read_trials
 from partialbench.benchmark.tune import tune
 from partialbench.cli import app
 from partialbench.errors import InputError
@@ -113,6 +114,13 @@ def test_the_command_takes_several_fields_a_trial_and_prints_what_it_records(dat
     assert {trial["options"] for trial in printed} == {"width=8"}
     recorded = [asdict(trial) for trial in read_trials(tmp_path / FILE)]
     assert sorted(recorded, key=repr) == sorted(printed, key=repr)
+
+
+def test_trials_added_at_once_are_all_kept(tmp_path):
+    trials = [Trial("m", "", f"lr={i}", 0, "d", "p", 1, 0.5, 0.5) for i in range(16)]
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(add_trial, [tmp_path / FILE] * len(trials), trials))
+    assert len(read_trials(tmp_path / FILE)) == len(trials)
 
 
 def test_a_file_that_is_none_is_named(tmp_path):
