@@ -67,15 +67,15 @@ def load(path: Path | str) -> dict[str, Any]:
     return content
 
 
-def require_same_code(content: Mapping[str, Any], path: Path | str) -> None:
-    """Raises ``InputError`` where the file of a user's own model is not what was trained."""
+def changed_code(content: Mapping[str, Any]) -> str:
+    """In what the file of a user's own model is not the one that was trained, "" where it is."""
     now = models.code_digest(content["model"])
-    if content["model_code"] != now:
-        raise InputError(
-            f"the file of {content['model']} has changed since {path} was trained (SHA-256 "
-            f"{content['model_code'][:12] or 'unknown'} there, {now[:12]} now): one record would "
-            f"tell of two models. Test with the file as it was, or train again"
-        )
+    if content["model_code"] == now:
+        return ""
+    return (
+        f"the file of {content['model']} has changed since the training (SHA-256 "
+        f"{content['model_code'][:12] or 'unknown'} then, {now[:12]} now)"
+    )
 
 
 def build_model(content: Mapping[str, Any]) -> nn.Module:

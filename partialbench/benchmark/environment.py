@@ -13,11 +13,13 @@ import torch
 
 import partialbench
 
+FULL_PRECISION = "32-true"
+"""As Fabric names what is trained in unless another is asked for."""
 PACKAGES = ("numpy", "scipy", "torch", "lightning", "e3nn")
 
 
 def describe(
-    device: torch.device, processes: int = 1, precision: str = "32-true"
+    device: torch.device, processes: int = 1, precision: str = FULL_PRECISION
 ) -> dict[str, Any]:
     """JSON data: hardware, versions, and the commit of the source tree (None outside one)."""
     if device.type == "cuda":

@@ -14,9 +14,8 @@ from typing import Any
 from partialbench.benchmark import origin
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
+from partialbench.benchmark.environment import FULL_PRECISION
 from partialbench.registry import Recipe
-
-FULL_PRECISION = "32-true"
 
 
 def upgraded(record: dict[str, Any]) -> dict[str, Any]:

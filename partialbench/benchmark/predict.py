@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
 from partialbench.geometry.camera import Camera
+
+log = logging.getLogger(__name__)
 
 MIN_POINTS = 16
 VOTES = 8
@@ -74,6 +77,8 @@ def predict(
         raise InputError(f"votes must be at least 1, got {votes}")
     content = checkpoint.load(checkpoint_file)
     model = checkpoint.build_model(content).to(device)
+    if changed := checkpoint.changed_code(content):
+        log.warning("%s: %s", checkpoint_file, changed)
     given = read_points(Path(file), K, depth_scale)
     count = content["num_points"]
     clouds = draw(given, count, min(votes, max(1, len(given) // count)))

@@ -230,7 +230,7 @@ def read(path: Path) -> Result:
         values = {name: record[name] for name in names}
         values["train_data"] = DataRecord(**record["train_data"])
         values["test_data"] = DataRecord(**record["test_data"])
-    except (KeyError, TypeError) as error:
+    except (InputError, KeyError, TypeError) as error:
         raise InputError(f"{path}: an entry is not what it should be: {error!r}") from error
     return Result(**values)
 

@@ -15,8 +15,8 @@ from partialbench.benchmark import checkpoint, finetune, given_pose, models, res
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark.environment import FULL_PRECISION
 from partialbench.benchmark.memory import keep_freed_memory
-from partialbench.benchmark.older import FULL_PRECISION
 from partialbench.benchmark.protocol import Protocol
 from partialbench.benchmark.results import Result
 from partialbench.benchmark.split import balanced_subset, split_by_object
@@ -43,7 +43,7 @@ def run_eval(
     *,
     first_seed: int = 0,
     start_from: Path | str | None = None,
-    precision: str = "32-true",
+    precision: str = FULL_PRECISION,
     checkpoint_every: int | None = None,
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
@@ -214,7 +214,12 @@ def _test_checkpoint(
     if options:
         content = _with_options(content, options)
     model = checkpoint.build_model(content)
-    checkpoint.require_same_code(content, path)
+    changed = checkpoint.changed_code(content)
+    if changed:
+        raise InputError(
+            f"{path}: {changed}: one record would tell of two models. Test with the file as it "
+            f"was, or train again"
+        )
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )

@@ -12,12 +12,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from typer.testing import CliRunner
 
 from leaderboard.check import problems
 from partialbench.benchmark import metrics, results
+from partialbench.benchmark.predict import predict
 from partialbench.benchmark.run import run_eval
 from partialbench.cli import app
 from partialbench.errors import ConfigurationMismatchError, InputError
@@ -267,7 +269,9 @@ class Mine(torch.nn.Module):
 """
 
 
-def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(data, tmp_path, monkeypatch):
+def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(
+    data, tmp_path, monkeypatch, caplog
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
 
@@ -290,6 +294,9 @@ def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(data, tmp
     path = next(Path("out/runs").glob("*/checkpoint.pt"))
     with pytest.raises(InputError, match="has changed since"):
         run_eval("edited_model:Mine", data, checkpoint_file=path, results_folder="out")
+    np.save("cloud.npy", np.eye(3)[np.arange(30) % 3] + np.arange(30)[:, None])
+    predict(path, "cloud.npy")
+    assert "has changed since the training" in caplog.text
     train(first_seed=1)
     (problem,) = problems(Path("out"))
     assert "seeds of one row, edited_model:Mine" in problem
