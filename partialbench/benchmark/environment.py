@@ -7,15 +7,23 @@ import platform
 import subprocess
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 import partialbench
 
+if TYPE_CHECKING:
+    from lightning.fabric import Fabric
+
 FULL_PRECISION = "32-true"
 """As Fabric names what is trained in unless another is asked for."""
 PACKAGES = ("numpy", "scipy", "torch", "lightning", "e3nn")
+
+
+def precision_of(fabric: Fabric) -> str:
+    """As Fabric names it in full: "bf16-mixed" where "bf16" was asked for."""
+    return str(fabric.strategy.precision.precision)
 
 
 def describe(

@@ -7,6 +7,7 @@ is worth the clouds that went into it.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def check_split(start: Start, dataset_id: str, protocol: Protocol) -> None:
 
 
 def begin(
-    model: nn.Module, start: Start, class_names: list[str], larger: nn.Module | None = None
+    model: nn.Module, start: Start, class_names: list[str], create: Callable[[int], nn.Module]
 ) -> list[str]:
     """Gives the model the weights of the start.
 
@@ -88,8 +89,8 @@ def begin(
     others, what depends on the classes (the last layer) stays as it was initialised.
 
     Args:
-        larger: the same model for one class more: what differs from it in shape depends on the
-            classes. Needed where the classes are others.
+        create: the same model, fresh, for so many classes: what has another shape for one class
+            more depends on the classes.
 
     Returns:
         the names that stayed.
@@ -100,8 +101,7 @@ def begin(
     own = model.state_dict()
     left: set[str] = set()
     if class_names != start.class_names:
-        assert larger is not None, "other classes: a model for one more is needed"
-        more = larger.state_dict()
+        more = create(len(class_names) + 1).state_dict()
         left = {name for name in own if name not in more or own[name].shape != more[name].shape}
     wrong = [
         name

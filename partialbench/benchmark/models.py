@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import sys
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ from torch import Tensor, nn
 
 from partialbench import registry
 from partialbench.benchmark.prediction import Prediction
+from partialbench.dataset.shards import file_sha256
 from partialbench.errors import InputError
 from partialbench.geometry.bins import NUM_BINS
 from partialbench.registry import ModelCard
@@ -44,7 +44,7 @@ def code_digest(name: str) -> str:
     if ":" not in name:
         return ""
     file = getattr(importlib.import_module(name.partition(":")[0]), "__file__", None)
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    return file_sha256(Path(file)) if file else ""
 
 
 def card_of(name: str) -> ModelCard:

@@ -17,6 +17,14 @@ from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.environment import FULL_PRECISION
 from partialbench.registry import Recipe
 
+_ADDED = {"given_pose": (4, ""), "model_code": (5, "")}
+"""Field → the format it came with, and what earlier records would have said."""
+
+
+def lacking(version: int) -> dict[str, str]:
+    """The fields that a format does not have, with what its records would have said."""
+    return {name: value for name, (since, value) in _ADDED.items() if version < since}
+
 
 def upgraded(record: dict[str, Any]) -> dict[str, Any]:
     """The fields of a record of an earlier format as today's has them."""
@@ -26,8 +34,7 @@ def upgraded(record: dict[str, Any]) -> dict[str, Any]:
         variant = " ".join(sorted([*variant.split(), f"precision={precision}"]))
     train, test = record["train_data"], record["test_data"]
     return {
-        "given_pose": "",
-        "model_code": "",
+        **lacking(record["format_version"]),
         **record,
         "variant": variant,
         "deviations": [

@@ -31,13 +31,16 @@ _ADDED = {"subset": "stored"}
 a field does not enter the digest, so that their columns stand."""
 
 
-_COUNTS = (
-    "num_points", "clouds_seen", "epochs", "max_train_clouds", "max_test_clouds", "split_seed"
-)  # fmt: skip
+_LEAST = {
+    "num_points": 1, "clouds_seen": 1, "epochs": 1, "max_train_clouds": 1, "max_test_clouds": 1,
+    "split_seed": 0,
+}  # fmt: skip
+"""The whole numbers among the fields, and the least that each may be."""
 _OPTIONAL = ("epochs", "max_train_clouds", "max_test_clouds")
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether it is a finite number; True and False are none."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
@@ -80,19 +83,17 @@ class Protocol:
 
     def __post_init__(self) -> None:
         # One kind for each number: 0 and 0.0 are one protocol, and are to have one digest.
-        for name in _COUNTS:
+        for name, least in _LEAST.items():
             value = getattr(self, name)
             if value is None and name in _OPTIONAL:
                 continue
-            least, kind = (
-                (0, "whole number") if name == "split_seed" else (1, "positive whole number")
-            )
-            if not _is_number(value) or value != int(value) or value < least:
+            if not is_number(value) or value != int(value) or value < least:
+                kind = "positive whole number" if least else "whole number"
                 raise InputError(f"{name} must be a {kind}, got {value!r}")
             object.__setattr__(self, name, int(value))
         for name in ("validation_fraction", "jitter_sigma", "jitter_clip"):
             value = getattr(self, name)
-            if not _is_number(value):
+            if not is_number(value):
                 raise InputError(f"{name} must be a number, got {value!r}")
             object.__setattr__(self, name, float(value))
         if not 0 <= self.validation_fraction < 1:

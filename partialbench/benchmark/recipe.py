@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,7 +11,7 @@ from torch import nn
 from torch.optim import Optimizer
 
 from partialbench.benchmark.muon import Muon
-from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.protocol import Protocol, is_number
 from partialbench.benchmark.schedule import check as check_schedule
 from partialbench.errors import InputError
 from partialbench.registry import SHORT_RECIPE, ModelCard, Recipe, close_matches
@@ -96,12 +95,7 @@ def _checked(name: str, value: Any) -> Any:
         expected, fits = _NUMBERS[name]
         if value is None and name == "clip_norm":
             return None
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not math.isfinite(value)
-            or not fits(value)
-        ):
+        if not is_number(value) or not fits(value):
             raise InputError(f"{name} of a recipe must be {expected}, got {value!r}")
         return int(value) if name in ("batch_size", "epochs") else float(value)
     if name == "optimizer" and value not in OPTIMIZERS:

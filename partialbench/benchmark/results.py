@@ -23,8 +23,6 @@ FORMAT = "partialbench-result"
 FORMAT_VERSION = 5
 READABLE = (2, 3, 4, FORMAT_VERSION)
 """What an earlier format lacked or said otherwise: ``older``."""
-_ADDED = {2: {"given_pose", "model_code"}, 3: {"given_pose", "model_code"}, 4: {"model_code"}}
-"""Fields that came after a format."""
 SUFFIX = ".result.json"
 
 
@@ -212,7 +210,7 @@ def read(path: Path) -> Result:
             f"{', '.join(map(str, READABLE))}"
         )
     names = {f.name for f in fields(Result)}
-    expected = names - _ADDED.get(record["format_version"], set())
+    expected = names - older.lacking(record["format_version"]).keys()
     present = set(record) - {"format", "format_version", "record_sha256"}
     if present != expected:
         raise InputError(

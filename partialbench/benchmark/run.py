@@ -15,7 +15,7 @@ from partialbench.benchmark import checkpoint, finetune, given_pose, models, res
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import Clouds
-from partialbench.benchmark.environment import FULL_PRECISION
+from partialbench.benchmark.environment import FULL_PRECISION, precision_of
 from partialbench.benchmark.memory import keep_freed_memory
 from partialbench.benchmark.protocol import Protocol
 from partialbench.benchmark.results import Result
@@ -119,7 +119,7 @@ def run_eval(
     card = models.card_of(model)
     own = recipes.of_protocol(card, followed)
     changed = recipes.changes(own, recipe or {})
-    used = recipes.override(own, changed)
+    used = recipes.override(own, recipe or {})
     train_set = ShardDataset(data, "train", followed.num_points)
     folders = [folder for folder in (data, test_data) if folder is not None]
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
@@ -130,7 +130,7 @@ def run_eval(
     written = []
     start = None if start_from is None else finetune.load(start_from, model)
     origin = None if start is None else start.origin
-    variant = describe_changes(changed, options or {}, origin, used_precision(fabric))
+    variant = describe_changes(changed, options or {}, origin, precision_of(fabric))
     for seed in range(first_seed, first_seed + seeds):
         task = make_task(
             model, train_set, followed, used, seed, dict(options or {}), variant, start
@@ -236,8 +236,7 @@ def _test_checkpoint(
 def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
     """A checkpoint's content with options of the model changed, as a row of its own."""
     card, followed = models.card_of(content["model"]), protocols.from_dict(content["protocol"])
-    own = recipes.as_dict(recipes.of_protocol(card, followed))
-    recipe = {name: value for name, value in content["recipe"].items() if value != own[name]}
+    recipe = recipes.changes(recipes.of_protocol(card, followed), content["recipe"])
     merged = {**content["options"], **options}
     summary = content["summary"]
     variant = describe_changes(
@@ -287,11 +286,6 @@ def make_fabric(device: str, precision: str) -> Fabric:
     # cuDNN would round what it convolves to 10 bits, in tests too, and call it 32.
     torch.backends.cudnn.allow_tf32 = False
     return fabric
-
-
-def used_precision(fabric: Fabric) -> str:
-    """As Fabric names it in full: "bf16-mixed" where "bf16" was asked for."""
-    return str(fabric.strategy.precision.precision)
 
 
 def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> None:

@@ -181,10 +181,9 @@ def train(
     bare = models.create(task.model, num_classes, task.options)
     identity = task.identity()
     if task.start is not None:
-        larger = None
-        if class_names != task.start.class_names:
-            larger = models.create(task.model, num_classes + 1, task.options)
-        fresh = finetune.begin(bare, task.start, class_names, larger)
+        fresh = finetune.begin(
+            bare, task.start, class_names, lambda k: models.create(task.model, k, task.options)
+        )
         log.info("begun from %s%s", task.start.origin["name"],
                  f"; of other classes, so new: {', '.join(fresh)}" if fresh else "")  # fmt: skip
     wrapped = WithLoss(
@@ -209,9 +208,7 @@ def train(
     # Where it stands: the next batch to take, and the running sums of the epoch under way.
     epoch, batch_index, loss_sum, seconds = 0, 0, 0.0, 0.0
     history: list[dict[str, Any]] = []
-    here = environment.describe(
-        fabric.device, fabric.world_size, str(fabric.strategy.precision.precision)
-    )
+    here = environment.describe(fabric.device, fabric.world_size, environment.precision_of(fabric))
     environments = [here]
     if resume and path.is_file():
         saved = checkpoint.load(path)

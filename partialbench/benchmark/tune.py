@@ -14,14 +14,9 @@ from typing import Any
 from partialbench.benchmark import finetune, models
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
+from partialbench.benchmark.environment import FULL_PRECISION, precision_of
 from partialbench.benchmark.memory import keep_freed_memory
-from partialbench.benchmark.run import (
-    describe_changes,
-    make_fabric,
-    make_task,
-    run_folder,
-    used_precision,
-)
+from partialbench.benchmark.run import describe_changes, make_fabric, make_task, run_folder
 from partialbench.benchmark.train import train
 from partialbench.benchmark.trials import FILE, Trial, add_trial
 from partialbench.dataset.loader import ShardDataset
@@ -40,7 +35,7 @@ def tune(
     results_folder: Path | str = "results",
     *,
     start_from: Path | str | None = None,
-    precision: str = "32-true",
+    precision: str = FULL_PRECISION,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
 ) -> list[Trial]:
@@ -73,10 +68,10 @@ def tune(
     train_set = ShardDataset(data, "train", followed.num_points)
     own = recipes.of_protocol(models.card_of(model), followed)
     # All are checked before the first is trained.
-    used = [recipes.override(own, recipes.changes(own, each)) for each in tries]
+    used = [recipes.override(own, changes) for changes in tries]
     chosen = dict(options or {})
     start = None if start_from is None else finetune.load(start_from, model)
-    origin, bits = None if start is None else start.origin, used_precision(fabric)
+    origin, bits = None if start is None else start.origin, precision_of(fabric)
     trials = []
     for changes, recipe in zip(tries, used, strict=True):
         variant = describe_changes(recipes.changes(own, changes), chosen, origin, bits)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.seeding import generator
-from partialbench.dataset.shards import write_atomically
+from partialbench.dataset.shards import make_folder, write_atomically
 from partialbench.errors import InputError
 
 AXIS_COLOURS = {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"}
@@ -42,12 +42,7 @@ def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed:
     data = ShardDataset(folder, split, num_points=1)
     data = ShardDataset(folder, split, num_points=data.manifest.configuration["points"])
     rows = choose_rows(data.labels, samples, seed)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"--out {out}: cannot make the folder {out.parent}: {error.strerror}; choose another"
-        ) from error
+    make_folder(out.parent)
     if out.suffix.lower() == ".png":
         _write_png(data, rows, out)
     else:

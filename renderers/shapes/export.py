@@ -12,7 +12,7 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.exchange.obj import export_obj
 from trimesh.exchange.off import export_off
 
-from partialbench.dataset.shards import write_atomically
+from partialbench.dataset.shards import make_folder, write_atomically
 from partialbench.errors import InputError
 from renderers.shapes.catalogue import family_of
 from renderers.shapes.source import ParametricShapes
@@ -62,22 +62,13 @@ def export_tree(
             if wanted is not None and name not in wanted:
                 continue
             if folder != (folder := Path(out) / name / split):
-                _make_folder(folder)
+                make_folder(folder)
                 log.info("%s/%s", name, split)
             mesh = source.load(ref)
             for suffix in formats:
                 _write(mesh, folder / f"{ref.object_id}.{suffix}", suffix)
                 written += 1
     return written
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"--out: cannot make the folder {folder}: {error.strerror}; choose another"
-        ) from error
 
 
 def _write(mesh: trimesh.Trimesh, path: Path, suffix: str) -> None:

@@ -77,7 +77,7 @@ def test_other_classes_get_a_new_last_layer(other, weights, tmp_path):
     reversed_names = start.class_names[::-1]
     for names in (["a", "b", "c", "d", "e"], ["a", "b", "c"], reversed_names):
         model = Posed(len(names))
-        assert finetune.begin(model, start, names, Posed(len(names) + 1)) == head
+        assert finetune.begin(model, start, names, Posed) == head
         assert torch.equal(model.state_dict()["body.points.0.weight"],
                            before["state"]["body.points.0.weight"])  # fmt: skip
     # A test object that either training has seen is a duplicate.
@@ -118,17 +118,17 @@ def test_what_is_no_start(data, weights, tmp_path):
 def test_weights_of_another_architecture_are_refused(weights):
     start = finetune.load(weights, f"{MODELS}:Posed")
     with pytest.raises(InputError, match="another architecture"):
-        finetune.begin(Bare(3), start, start.class_names)
+        finetune.begin(Bare(3), start, start.class_names, Bare)
     wide = Posed(3)
     wide.body = Bare(63, width=32)
     with pytest.raises(InputError, match=r"body\.points\.0\.weight"):
-        finetune.begin(wide, start, start.class_names)
+        finetune.begin(wide, start, start.class_names, Posed)
     # Neither between other classes, where a new last layer is all that may be new.
     wider = Posed(4)
     wider.body = Bare(64, width=32)
     wide.num_classes = 3
     with pytest.raises(InputError, match=r"body\.points\.0\.weight"):
-        finetune.begin(wide, start, ["a", "b", "c"], wider)
+        finetune.begin(wide, start, ["a", "b", "c"], lambda k: wider)
 
 
 def test_from_the_command_line(data, weights, tmp_path):
