@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +21,7 @@ def tuning_layouts(folder: Path, records: Sequence[Result], board: list[Column])
     """A table for each data set and protocol that the trials in the folder were made under.
 
     After each stands, where there is enough to compare, whether models rank in the board's columns
-    as they do in those trials: there all had one budget, in a column they may not.
+    as they do in those trials: there all had the same budgets, in a column they may not.
 
     Args:
         folder: of the records; its ``tuning.csv`` is read where there is one.
@@ -57,8 +58,8 @@ def _agreement(name: str, trials: list[Trial], board: list[Column]) -> list[Layo
     return [
         Layout(
             f"Do the columns rank the models as tuning did? Tuning {name}",
-            "Rank correlation of each model's best validation accuracy in those trials, which had "
-            "one budget, with its accuracy in the column.",
+            "Rank correlation of each model's best validation accuracy in those trials, in which "
+            "all had the same budgets, with its accuracy in the column.",
             ["column", *AGREEMENT],
             rows,
         )
@@ -66,7 +67,7 @@ def _agreement(name: str, trials: list[Trial], board: list[Column]) -> list[Layo
 
 
 def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
-    recipes = sorted({trial.recipe for trial in trials})
+    recipes = sorted({trial.recipe for trial in trials}, key=_by_number)
     models: dict[str, list[Trial]] = defaultdict(list)
     for trial in trials:
         title = titles.get(trial.model, trial.model)
@@ -80,7 +81,7 @@ def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
         rows.append(
             [
                 title,
-                engineering(tried[0].clouds_seen),
+                _clouds_seen(tried),
                 *(percent(found[r], None) if r in found else "–" for r in recipes),
                 ", ".join(best),
             ]
@@ -93,3 +94,21 @@ def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
         ["model", "clouds seen", *(recipe or AS_IT_IS for recipe in recipes), "best"],
         rows,
     )
+
+
+def _by_number(recipe: str) -> list[tuple[str, float, str]]:
+    """For sorting: "epochs=2" comes before "epochs=16", "lr=0.003" before "lr=0.01"."""
+    key = []
+    for part in recipe.split():
+        name, _, value = part.partition("=")
+        try:
+            key.append((name, float(value), ""))
+        except ValueError:
+            key.append((name, math.inf, value))
+    return key
+
+
+def _clouds_seen(trials: list[Trial]) -> str:
+    """The least and the most of the trials, where they are not one."""
+    seen = [trial.clouds_seen for trial in trials]
+    return " – ".join(dict.fromkeys(map(engineering, (min(seen), max(seen)))))

@@ -129,6 +129,25 @@ class Protocol:
             return self.epochs
         return max(1, min(recipe.epochs, math.ceil(self.clouds_seen / train_clouds)))
 
+    def require_epochs(self, recipe: Recipe, train_clouds: int) -> None:
+        """Raises InputError where a recipe with a number of epochs of one's own would get another.
+
+        A row or a trial named after a number that it was not trained with would be a false one.
+        """
+        epochs = self.num_epochs(recipe, train_clouds)
+        if epochs == recipe.epochs:
+            return
+        if self.epochs is not None:
+            raise InputError(
+                f"epochs={recipe.epochs} in the recipe would have no effect: the protocol has "
+                f"epochs={self.epochs}; give one of the two"
+            )
+        raise InputError(
+            f"epochs={recipe.epochs} in the recipe would be cut to {epochs}: that many epochs of "
+            f"{train_clouds:,} clouds are the protocol's clouds_seen={self.clouds_seen}; ask for "
+            f"no more, or raise clouds_seen to {recipe.epochs * train_clouds} or more"
+        )
+
     def describe_epochs(self, recipe: Recipe, train_clouds: int) -> str:
         """The number of epochs in words, and what the budget would have asked for if it is another.
 

@@ -135,6 +135,8 @@ def run_eval(
         task = make_task(
             model, train_set, followed, used, seed, dict(options or {}), variant, start
         )
+        if "epochs" in (recipe or {}):
+            followed.require_epochs(used, len(task.train_rows))
         folder = results_folder / "runs" / run_folder(task)
         log.info("training %s, seed %d, in %s", task.model, seed, folder)
         trained = train(task, fabric, folder, resume, checkpoint_every)

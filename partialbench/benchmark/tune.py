@@ -67,15 +67,19 @@ def tune(
         raise InputError("validation_fraction is 0: there is nothing to choose on")
     train_set = ShardDataset(data, "train", followed.num_points)
     own = recipes.of_protocol(models.card_of(model), followed)
-    # All are checked before the first is trained.
-    used = [recipes.override(own, changes) for changes in tries]
     chosen = dict(options or {})
     start = None if start_from is None else finetune.load(start_from, model)
     origin, bits = None if start is None else start.origin, precision_of(fabric)
-    trials = []
-    for changes, recipe in zip(tries, used, strict=True):
+    tasks = []  # all are checked before the first is trained
+    for changes in tries:
+        recipe = recipes.override(own, changes)
         variant = describe_changes(recipes.changes(own, changes), chosen, origin, bits)
         task = make_task(model, train_set, followed, recipe, seed, chosen, variant, start)
+        if "epochs" in changes:
+            followed.require_epochs(recipe, len(task.train_rows))
+        tasks.append(task)
+    trials = []
+    for changes, task in zip(tries, tasks, strict=True):
         folder, tried = results_folder / "runs" / run_folder(task), describe_changes(changes, {})
         log.info("trying %s in %s", tried or "the recipe as it is", folder)
         summary = train(task, fabric, folder, resume=True).summary

@@ -202,6 +202,7 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"recipe": {"batch_size": 200}, "max_train_clouds": 1}, "batches of 2 clouds or more"),
         ({"options": {"widht": 8}}, "no option 'widht'; did you mean width"),
         ({"precision": "32-false"}, "precision '32-false'"),
+        ({"recipe": {"epochs": 4}, "epochs": 2}, "epochs=4 .* would have no effect"),
     ],
 )
 def test_wrong_arguments_are_named(data, tmp_path, arguments, message):

@@ -67,6 +67,16 @@ def test_trials_are_recorded_once_and_not_repeated(done, data):
     assert not list((folder / "runs").glob("*/log.csv"))
 
 
+def test_schedules_of_several_lengths_are_trials_like_others(data, tmp_path):
+    found = tune(
+        MODEL, data, [{"epochs": 1}, {"epochs": 3}], "mini", device="cpu",
+        results_folder=tmp_path, protocol={"num_points": 32},
+    )  # fmt: skip
+    seen = {trial.recipe: trial.clouds_seen for trial in found}
+    assert seen["epochs=3"] == 3 * seen["epochs=1"] > 0
+    assert len({trial.protocol for trial in found}) == 1
+
+
 def test_another_call_adds_to_the_file(done, data, tmp_path):
     found, folder = done
     shutil.copy(folder / FILE, tmp_path)
@@ -84,6 +94,12 @@ def test_another_call_adds_to_the_file(done, data, tmp_path):
         ([], {}, "nothing to try"),
         ([{"rate": 0.1}], {}, "a recipe has no field 'rate'"),
         ([{}], {"validation_fraction": 0}, "there is nothing to choose on"),
+        ([{}, {"epochs": 2}], {}, "epochs=2 .* no effect: the protocol has epochs=3"),
+        (
+            [{}, {"epochs": 9}],
+            {"epochs": None, "clouds_seen": 100},
+            "epochs=9 .* cut to 2: .*clouds_seen=100",
+        ),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(data, tmp_path, tries, protocol, message):

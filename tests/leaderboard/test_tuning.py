@@ -50,6 +50,19 @@ def test_each_recipe_has_its_accuracy_and_the_best_is_named(tmp_path):
     ]
 
 
+def test_trials_of_several_lengths_stand_in_their_order_with_what_they_saw(tmp_path):
+    add(tmp_path, "one", 0.5)
+    for epochs in (16, 2):
+        write(
+            tmp_path,
+            replace(TRIAL, recipe=f"epochs={epochs}", clouds_seen=4000 * epochs),
+            replace(TRIAL, recipe="optimizer=muon"),
+        )
+    (table,) = layouts(tmp_path)
+    assert table.head[1:-1] == ["clouds seen", "epochs=2", "epochs=16", "optimizer=muon"]
+    assert table.rows[0][1] == "4.0 k – 64.0 k"
+
+
 @pytest.mark.parametrize("change", [{"data": "d" * 64}, {"protocol": "d" * 64}, {"seed": 1}])
 def test_trials_that_cannot_be_compared_are_tables_of_their_own(tmp_path, change):
     add(tmp_path, "one", 0.5)
