@@ -12,12 +12,15 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from types import FrameType
-from typing import Any
+from typing import Any, TypeVar
 
-from partialbench.errors import InputError
+from partialbench.errors import InputError, PartialbenchError
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 # Numerical libraries read these when they load: one thread a process, or W workers would run W²
 # threads. Set before a worker starts, which imports them at once.
@@ -111,6 +114,27 @@ def process_pool(workers: int) -> ProcessPoolExecutor:
         initializer=_start_worker,
         initargs=(os.getpid(),),
     )
+
+
+def map_in_order(
+    fn: Callable[[T], R], items: Sequence[T], workers: int, chunksize: int = 1
+) -> Iterator[R]:
+    """``fn`` of each item, in the items' order, as they are done; in this process with one worker.
+
+    Raises:
+        PartialbenchError: a worker died, mostly for want of memory.
+    """
+    workers = min(workers, len(items))
+    if workers <= 1:
+        yield from map(fn, items)
+        return
+    try:
+        with process_pool(workers) as pool:
+            yield from pool.map(fn, items, chunksize=chunksize)
+    except BrokenExecutor as error:
+        raise PartialbenchError(
+            f"a worker process died, perhaps for want of memory; try fewer than {workers} workers"
+        ) from error
 
 
 class DaskExecutor(Executor):

@@ -6,12 +6,11 @@ import fcntl
 import json
 import shutil
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from partialbench.dataset.executors import map_in_order
 from partialbench.dataset.manifest import json_digest
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import write_atomically
@@ -105,16 +104,9 @@ def _make_missing(
     missing = [job for job in jobs if not (job[0] / room_id(job[1])).is_dir()]
     done = len(jobs) - len(missing)
     on_progress(done, len(jobs))
-    if workers > 1 and len(missing) > 1:
-        with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-            for _ in pool.map(_make_room, missing):
-                done += 1
-                on_progress(done, len(jobs))
-    else:
-        for job in missing:
-            _make_room(job)
-            done += 1
-            on_progress(done, len(jobs))
+    for _ in map_in_order(_make_room, missing, workers):
+        done += 1
+        on_progress(done, len(jobs))
 
 
 def _collect(out: Path, num_rooms: int) -> RoomsFolder:

@@ -7,7 +7,8 @@ import time
 
 import pytest
 
-from partialbench.dataset.executors import _interrupts_held_back, process_pool
+from partialbench.dataset.executors import _interrupts_held_back, map_in_order, process_pool
+from partialbench.errors import PartialbenchError
 
 
 def born_deaf(seconds: float) -> tuple[int, bool]:
@@ -58,3 +59,24 @@ def test_only_the_workers_are_held_to_one_thread(monkeypatch):
         assert pool.submit(threads).result() == ["1", "1", "3"]
         assert threads() == [None, None, "3"]
     assert threads() == [None, None, "3"]
+
+
+def slow_square(x: int) -> tuple[int, int]:
+    time.sleep(0.3 / x)
+    return x * x, os.getpid()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_answers_come_in_the_order_of_the_items(workers):
+    answers = list(map_in_order(slow_square, [1, 2, 3, 4], workers))
+    assert [square for square, _ in answers] == [1, 4, 9, 16]
+    assert ({pid for _, pid in answers} == {os.getpid()}) == (workers == 1)
+
+
+def die(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_dead_worker_is_an_error_in_words():
+    with pytest.raises(PartialbenchError, match=r"a worker process died.*fewer than 2 workers"):
+        list(map_in_order(die, [1, 2, 3], 2))

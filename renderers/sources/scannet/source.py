@@ -5,9 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset.categories import PS15
+from partialbench.dataset.executors import map_in_order
 from partialbench.dataset.rows import BROKEN_INPUT, reason_of
 from partialbench.dataset.shards import file_sha256
 from partialbench.dataset.sources import ObjectRef, RejectedObject
@@ -260,11 +259,7 @@ class ScanNetInstances:
     def _list(self) -> dict[str, _Listed]:
         if self._listed is None:
             scenes = [s for s in sorted(self._all_scenes()) if self.split_of(s) is not None]
-            if self.workers > 1 and len(scenes) > 1:
-                with ProcessPoolExecutor(self.workers, get_context("spawn")) as pool:
-                    results = list(pool.map(self._list_scene, scenes, chunksize=4))
-            else:
-                results = [self._list_scene(scene) for scene in scenes]
+            results = list(map_in_order(self._list_scene, scenes, self.workers, chunksize=4))
             listed = dict(zip(scenes, results, strict=True))
             if not any(r.instances for r in results):
                 raise InputError(self._nothing(listed))
