@@ -13,9 +13,9 @@ The paper compares with this pair but releases no code for it. Ours: k = 32 neig
 layer 4-64 and the maximum over neighbours make a point's feature; PointNet++ (SSG) samples and
 groups by coordinates but sees these features alone, in its last level too. Everything chosen by
 coordinates is independent of the pose: sampling starts at the point farthest from the centroid and
-balls keep their nearest points. RRI's own discontinuities are ramps (``RAMP``, ``FADE``). What
-remains is rounding: where two distances agree to the last digits, a turned cloud may choose the
-other.
+balls keep their nearest points. RRI's own discontinuities are ramps (``RAMP``, ``FADE``; shorter by
+``--option ramp=0.02``). What remains is rounding: where two distances agree to the last digits, a
+turned cloud may choose the other.
 """
 
 from __future__ import annotations
@@ -45,13 +45,14 @@ LARGEST = math.pi / 2
 RAMP = 0.2
 """Radians. As defined, φ_ik jumps where a neighbour's direction passes another's: ψ = 0 turns into
 2π and the least angle into the gap to the next. Equal directions are common (symmetric shapes,
-repeated points), and rounding would decide. Here a follower nearer than RAMP counts as
-ψ + LARGEST·(1 − ψ/RAMP), which is LARGEST on both sides of ψ = 0: φ is continuous, and as defined
+repeated points), and rounding would decide. Here a follower nearer than the ramp counts as
+ψ + LARGEST·(1 − ψ/ramp), which is LARGEST on both sides of ψ = 0: φ is continuous, and as defined
 where no two directions are that near. Of 32 neighbours most are: the gaps between their directions
-average 2π/32 = 0.196 (the model's card says what becomes of φ)."""
-FADE = 0.1
-"""Length below which a direction fades out: of p_i near the centroid, of a neighbour across p̂_i
-when it is in line with it. Their angles would be rounding alone."""
+average 2π/32 = 0.196 (the model's card says what becomes of φ). With a shorter ramp φ is nearer to
+its definition and steeper where directions meet, so that rounding moves it more."""
+FADE = 0.5
+"""Share of the ramp that is the length below which a direction fades out: of p_i near the centroid,
+of a neighbour across p̂_i when it is in line with it. Their angles would be rounding alone."""
 
 
 def across(p: Tensor) -> tuple[Tensor, Tensor]:
@@ -63,7 +64,7 @@ def across(p: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @torch.no_grad()
-def rri(points: Tensor, k: int = NEIGHBOURS) -> Tensor:
+def rri(points: Tensor, k: int = NEIGHBOURS, ramp: float = RAMP) -> Tensor:
     """RRI features (B,N,k,4) as (r_i, r_ik, θ_ik, φ_ik) of normalised clouds (B,N,3); no gradient.
 
     φ is 0 for a neighbour in line with p_i, which is nobody's follower; θ and φ are 0 for a point
@@ -89,15 +90,16 @@ def rri(points: Tensor, k: int = NEIGHBOURS) -> Tensor:
         x, y, along = (q @ torch.stack([u, v, p], dim=-1)).unbind(-1)
         length = torch.hypot(x, y)
         theta = torch.atan2(length, along)
-        has_direction = (length / FADE).clamp_max(1)
+        shortest = FADE * ramp
+        has_direction = (length / shortest).clamp_max(1)
         angle = torch.atan2(y, x)
         psi = angle[..., None, :] - angle[..., None]
         psi = torch.where(psi < 0, psi + 2 * math.pi, psi)
         # A neighbour is its own follower at ψ = 0, which the ramp makes LARGEST.
-        psi += (1 - psi / RAMP).clamp_min_(0).mul_(LARGEST)
+        psi += (1 - psi / ramp).clamp_min_(0).mul_(LARGEST)
         psi += LARGEST * (1 - has_direction[..., None, :])
         phi = psi.amin(dim=-1).clamp_max_(LARGEST) * has_direction
-        fade = (r / FADE).clamp_max(1)[..., None]
+        fade = (r / shortest).clamp_max(1)[..., None]
         theta, phi = theta * fade, phi * fade
         return torch.stack([r[..., None].expand_as(r_k), r_k, theta, phi], dim=-1)
 
@@ -105,15 +107,23 @@ def rri(points: Tensor, k: int = NEIGHBOURS) -> Tensor:
 class RRIPointNet2(nn.Module):
     """PointNet++ (SSG) on rotation-invariant features; its logits do not depend on the pose."""
 
-    def __init__(self, num_classes: int, k: int = NEIGHBOURS) -> None:
+    def __init__(self, num_classes: int, k: int = NEIGHBOURS, ramp: float = RAMP) -> None:
+        """``k`` neighbours of every point; ``ramp`` in radians, see ``RAMP``.
+
+        Raises:
+            InputError: a ramp that is not positive.
+        """
         super().__init__()
+        if ramp <= 0:
+            raise InputError(f"ramp must be positive, got {ramp}")
         self.k = k
+        self.ramp = ramp
         self.embed = NormLinear(4, WIDTH)
         self.classifier = PointNet2(num_classes, features=WIDTH, use_xyz=False, nearest=True)
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k → logits (B,K)."""
         points = normalise(points)
-        features = F.relu_(self.embed.max(rri(points, self.k)))
+        features = F.relu_(self.embed.max(rri(points, self.k, self.ramp)))
         start = farthest_from_centre(points)
         return Prediction(self.classifier.classify(points, features, start))

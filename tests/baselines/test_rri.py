@@ -56,13 +56,13 @@ class TestRRI:
         got = rri.rri(torch.from_numpy(cloud[None]).float(), k)[0].numpy()
         plain = 0
         for mine, expected in zip(got, pairwise_rri(cloud, k), strict=True):
-            if expected[0, 0] < rri.FADE:
+            if expected[0, 0] < rri.FADE * rri.RAMP:
                 continue
             mine = mine[np.argsort(mine[:, 1])]
             np.testing.assert_allclose(mine[:, :3], expected[:, :3], atol=1e-5)
             as_defined = expected[:, 3] >= rri.RAMP
             across = np.sin(expected[:, 2]) * expected[:, 1]
-            if across.min() < rri.FADE:
+            if across.min() < rri.FADE * rri.RAMP:
                 continue
             plain += as_defined.sum()
             phi = np.minimum(expected[:, 3], rri.LARGEST)
@@ -99,14 +99,34 @@ class TestRRI:
         across = np.sin(defined[..., 2]) * defined[..., 1]
         off = np.abs(got[..., 3] - defined[..., 3])
         phi = np.minimum(defined[..., 3], rri.LARGEST)
-        own = across >= rri.FADE
+        own = across >= rri.FADE * rri.RAMP
         assert (got[own, 3] >= phi[own] - 1e-6).all()
         assert (off > 0.01).mean() == pytest.approx(altered, abs=0.05)
-        assert (across < rri.FADE).mean() == pytest.approx(faded, abs=0.05)
+        assert (across < rri.FADE * rri.RAMP).mean() == pytest.approx(faded, abs=0.05)
         assert defined[..., 3].mean() == pytest.approx(2 * np.pi / k, abs=1e-3)
         assert got[..., 3].mean() == pytest.approx(mean, abs=0.05)
         found = np.corrcoef(got[..., 3].ravel(), defined[..., 3].ravel())[0, 1]
         assert found == pytest.approx(correlation, abs=0.1)
+
+    @pytest.mark.parametrize(("shape", "number"), [("ellipsoid", 256), ("box", 1024)])
+    def test_a_shorter_ramp_comes_near_the_definition_and_still_holds_rounding(
+        self, rng: np.random.Generator, shape: str, number: int
+    ) -> None:
+        cloud = points.normalise(torch.from_numpy(visible_side(shape, number, rng))[None])
+        defined = np.array(pairwise_rri(cloud[0].numpy(), rri.NEIGHBOURS))[..., 3]
+        got = rri.rri(cloud, ramp=0.02)[0].numpy()
+        got = np.take_along_axis(got, got[..., 1].argsort(axis=1)[..., None], axis=1)[..., 3]
+        assert np.corrcoef(got.ravel(), defined.ravel())[0, 1] > 0.85
+        R = torch.from_numpy(haar_rotations(rng, 1)[0]).float()
+        upright, turned = (
+            rri.rri(points.normalise(c), ramp=0.02).sort(dim=2).values
+            for c in (cloud.float(), cloud.float() @ R.mT)
+        )
+        assert (upright - turned).abs().max() < 2e-3
+
+    def test_a_ramp_is_positive(self) -> None:
+        with pytest.raises(InputError, match="ramp must be positive, got 0"):
+            rri.RRIPointNet2(4, ramp=0)
 
     @pytest.mark.parametrize("number", [1, 31, 32])
     def test_too_few_points_are_refused(self, number: int) -> None:
