@@ -11,6 +11,14 @@ from baselines import points, rri
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
 
+SHORTEST = rri.FADE * rri.RAMP
+"""A direction shorter than this fades out."""
+
+
+def nearest_first(features: np.ndarray) -> np.ndarray:
+    """Features (N,k,4) with the neighbours in the order of their second number, r_ik."""
+    return np.take_along_axis(features, features[..., 1].argsort(axis=1)[..., None], axis=1)
+
 
 def pairwise_rri(cloud: np.ndarray, k: int) -> list[np.ndarray]:
     """ClusterNet's formulas as written, neighbour by neighbour, each point's rows sorted."""
@@ -56,13 +64,13 @@ class TestRRI:
         got = rri.rri(torch.from_numpy(cloud[None]).float(), k)[0].numpy()
         plain = 0
         for mine, expected in zip(got, pairwise_rri(cloud, k), strict=True):
-            if expected[0, 0] < rri.FADE * rri.RAMP:
+            if expected[0, 0] < SHORTEST:
                 continue
             mine = mine[np.argsort(mine[:, 1])]
             np.testing.assert_allclose(mine[:, :3], expected[:, :3], atol=1e-5)
             as_defined = expected[:, 3] >= rri.RAMP
             across = np.sin(expected[:, 2]) * expected[:, 1]
-            if across.min() < rri.FADE * rri.RAMP:
+            if across.min() < SHORTEST:
                 continue
             plain += as_defined.sum()
             phi = np.minimum(expected[:, 3], rri.LARGEST)
@@ -93,16 +101,15 @@ class TestRRI:
         cloud = points.normalise(torch.from_numpy(visible_side(shape, number, rng))[None])
         k = rri.NEIGHBOURS
         defined = np.array(pairwise_rri(cloud[0].numpy(), k))
-        got = rri.rri(cloud)[0].numpy()
-        got = np.take_along_axis(got, got[..., 1].argsort(axis=1)[..., None], axis=1)
+        got = nearest_first(rri.rri(cloud)[0].numpy())
         np.testing.assert_allclose(got[..., :2], defined[..., :2], atol=1e-9)
         across = np.sin(defined[..., 2]) * defined[..., 1]
         off = np.abs(got[..., 3] - defined[..., 3])
         phi = np.minimum(defined[..., 3], rri.LARGEST)
-        own = across >= rri.FADE * rri.RAMP
+        own = across >= SHORTEST
         assert (got[own, 3] >= phi[own] - 1e-6).all()
         assert (off > 0.01).mean() == pytest.approx(altered, abs=0.05)
-        assert (across < rri.FADE * rri.RAMP).mean() == pytest.approx(faded, abs=0.05)
+        assert (across < SHORTEST).mean() == pytest.approx(faded, abs=0.05)
         assert defined[..., 3].mean() == pytest.approx(2 * np.pi / k, abs=1e-3)
         assert got[..., 3].mean() == pytest.approx(mean, abs=0.05)
         found = np.corrcoef(got[..., 3].ravel(), defined[..., 3].ravel())[0, 1]
@@ -114,8 +121,7 @@ class TestRRI:
     ) -> None:
         cloud = points.normalise(torch.from_numpy(visible_side(shape, number, rng))[None])
         defined = np.array(pairwise_rri(cloud[0].numpy(), rri.NEIGHBOURS))[..., 3]
-        got = rri.rri(cloud, ramp=0.02)[0].numpy()
-        got = np.take_along_axis(got, got[..., 1].argsort(axis=1)[..., None], axis=1)[..., 3]
+        got = nearest_first(rri.rri(cloud, ramp=0.02)[0].numpy())[..., 3]
         assert np.corrcoef(got.ravel(), defined.ravel())[0, 1] > 0.85
         R = torch.from_numpy(haar_rotations(rng, 1)[0]).float()
         upright, turned = (
