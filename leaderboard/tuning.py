@@ -76,14 +76,16 @@ def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
     for title, tried in models.items():
         found = {trial.recipe: trial.validation_accuracy for trial in tried}
         best = [
-            recipe or AS_IT_IS for recipe in recipes if found.get(recipe) == max(found.values())
+            recipe or AS_IT_IS
+            for recipe in recipes
+            if len(found) > 1 and found.get(recipe) == max(found.values())
         ]
         rows.append(
             [
                 title,
                 _clouds_seen(tried),
                 *(percent(found[r], None) if r in found else "–" for r in recipes),
-                ", ".join(best),
+                ", ".join(best) or "–",
             ]
         )
     rows.sort(key=lambda row: row[0])
