@@ -23,7 +23,6 @@ import torch
 from lightning.fabric import Fabric
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
@@ -45,6 +44,7 @@ from partialbench.benchmark.schedule import Schedule
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import ConfigurationMismatchError, PartialbenchError
+from partialbench.progress import training_bar
 from partialbench.registry import Recipe
 
 log = logging.getLogger(__name__)
@@ -261,7 +261,7 @@ def train(
     done: dict[str, Any] | None = None
     started = time.perf_counter()
     unread: list[Tensor] = []
-    with _progress(fabric) as progress:
+    with training_bar(Console(stderr=True), silent=not fabric.is_global_zero) as progress:
         bar = progress.add_task(task.model, total=total_steps, loss="")
         while epoch < epochs:
             epoch_started, first_batch = time.perf_counter(), batch_index
@@ -354,12 +354,3 @@ def _as_csv(history: list[dict[str, Any]]) -> bytes:
     writer.writeheader()
     writer.writerows(history)
     return text.getvalue().encode()
-
-
-def _progress(fabric: Fabric) -> Progress:
-    console = Console(stderr=True)
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-        TextColumn("{task.fields[loss]}"), TimeRemainingColumn(),
-        console=console, disable=not (fabric.is_global_zero and console.is_terminal),
-    )  # fmt: skip
