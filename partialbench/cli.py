@@ -215,7 +215,7 @@ def tune(
 def predict(
     file: Annotated[
         Path,
-        typer.Argument(help="one object: a cloud (.ply .xyz .npy) or a depth image (.png .npy)"),
+        typer.Argument(help="one object: a cloud (.ply .pcd .xyz …) or a depth image (.png .npy)"),
     ],
     checkpoint: Annotated[Path, typer.Option(help="written by eval")],
     intrinsics: Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from partialbench.benchmark import checkpoint
 from partialbench.benchmark.models import as_prediction
+from partialbench.dataset.cloud_files import FORMATS, read_cloud
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
@@ -21,6 +23,7 @@ log = logging.getLogger(__name__)
 
 MIN_POINTS = 16
 VOTES = 8
+IMAGES = (".png", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -63,8 +66,9 @@ def predict(
 
     Args:
         checkpoint_file: written by ``partialbench eval``; nothing else is needed.
-        file: a cloud (.ply, .xyz, .txt, .csv, .npy (N,3)) or a z-depth image (.png of 16 bits,
-            .tif, .npy (H,W)), of the object alone, camera frame x right, y down, z forward.
+        file: a cloud (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy (N,3)) or a z-depth image (.png of
+            16 bits, .tif, .npy (H,W)), of the object alone; camera frame x right, y down,
+            z forward.
         K: (3,3) intrinsics in pixels, or (fx, fy, cx, cy); needed for a depth image.
         depth_scale: units of the file's depth values: 0.001 for millimetres.
         votes: at most so many clouds, without a point in common.
@@ -112,38 +116,44 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
     if not path.is_file():
         raise InputError(f"no file at {path}")
     kind = path.suffix.lower()
+    if kind not in (*FORMATS, *IMAGES):
+        raise InputError(
+            f"{path}: {kind or 'a file without suffix'} is not read; give a cloud "
+            f"({', '.join(FORMATS)}) or a depth image ({', '.join(IMAGES)}, .npy)"
+        )
     try:
-        if kind == ".npy":
-            array = np.load(path, allow_pickle=False)
-        elif kind in (".png", ".tif", ".tiff"):
-            array = _read_image(path)
-        elif kind == ".ply":
-            array = _read_ply(path)
-        elif kind in (".xyz", ".txt", ".csv", ".pts"):
-            array = np.loadtxt(path, delimiter="," if kind == ".csv" else None, ndmin=2)
-        else:
-            raise InputError(
-                f"{path}: {kind or 'a file without suffix'} is not read; give a cloud as .ply, "
-                f".xyz or .npy, or a depth image as .png, .tif or .npy"
-            )
-    except (OSError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
+        content = path.read_bytes()
+    except OSError as error:
         raise InputError(f"{path} cannot be read: {error}") from error
-    is_image = kind in (".png", ".tif", ".tiff")
-    if is_image or (kind == ".npy" and array.ndim == 2 and array.shape[1] not in (3, 4, 6)):
-        points = _from_depth(path, array, K, depth_scale)
-    elif array.ndim == 2 and array.shape[1] >= 3:
-        points = array[:, :3]  # further columns are colours, normals or intensity
+    image = _image(content, path)
+    if image is not None:
+        points = _from_depth(path, image, K, depth_scale)
+        points = points[np.isfinite(points).all(axis=1)]
     else:
-        raise InputError(f"{path} has shape {array.shape}; expected (N,3) points or (H,W) depth")
-    points = np.asarray(points, np.float64)
-    points = points[np.isfinite(points).all(axis=1)]
+        points = read_cloud(content, str(path), drop_unmeasured=True)
     if len(points) < MIN_POINTS:
         raise InputError(
             f"{path} has {len(points)} finite points, at least {MIN_POINTS} are needed"
         )
     return points
+
+
+def _image(content: bytes, path: Path) -> NDArray | None:
+    """What an image file holds, or an array that cannot be points; None for any other file."""
+    kind = path.suffix.lower()
+    if kind not in (*IMAGES, ".npy"):
+        return None
+    try:
+        if kind in IMAGES:
+            from PIL import Image
+
+            with Image.open(io.BytesIO(content)) as image:
+                return np.asarray(image)
+        array = np.load(io.BytesIO(content), allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path} cannot be read: {error}") from error
+    # Further columns of a cloud are intensity, colours or normals.
+    return None if array.ndim == 2 and array.shape[1] in (3, 4, 6) else array
 
 
 def _from_depth(path: Path, image: NDArray, K: ArrayLike | None, scale: float) -> NDArray:
@@ -166,23 +176,3 @@ def _from_depth(path: Path, image: NDArray, K: ArrayLike | None, scale: float) -
         return Camera(matrix, image.shape[1], image.shape[0]).unproject_depth(depth)
     except ValueError as error:
         raise InputError(f"intrinsics {np.asarray(K).tolist()}: {error}") from error
-
-
-def _read_image(path: Path) -> NDArray:
-    from PIL import Image
-
-    with Image.open(path) as image:
-        return np.asarray(image)
-
-
-def _read_ply(path: Path) -> NDArray:
-    import trimesh
-
-    try:
-        loaded = trimesh.load(path, process=False)
-    except Exception as error:  # its parsers raise whatever a bad file makes them trip over
-        raise InputError(f"{path} cannot be read: {error}") from error
-    vertices = getattr(loaded, "vertices", None)
-    if vertices is None or len(vertices) == 0:
-        raise InputError(f"{path} holds no points")
-    return np.asarray(vertices)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset.categories import MODELNET40
+from partialbench.dataset.cloud_files import SUFFIXES, read_cloud
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError
-from renderers.sources.cloud_files import SUFFIXES, read_cloud
 from renderers.sources.files import SPLITS, Directory
 from renderers.sources.folder import LAYOUT, split_of
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from partialbench.dataset.ply import require_whole
 from partialbench.errors import InputError
 from renderers.sources.off import read_off
-from renderers.sources.ply import require_whole
 
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".dae")
 """The formats that are read, in the order of preference where an object comes in several."""

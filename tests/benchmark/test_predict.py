@@ -28,7 +28,11 @@ def test_every_cloud_format_gives_the_same_answer(weights, tmp_path):
     np.save(tmp_path / "a.npy", cloud)
     np.savetxt(tmp_path / "a.xyz", cloud, fmt="%.9g")
     np.savetxt(tmp_path / "a.csv", cloud, fmt="%.9g", delimiter=",")
-    answers = [predict(weights, tmp_path / f"a.{kind}") for kind in ("ply", "npy", "xyz", "csv")]
+    np.savetxt(tmp_path / "a.pts", cloud, fmt="%.9g")
+    header = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS {len(cloud)}\nDATA binary\n"
+    (tmp_path / "a.pcd").write_bytes(header.encode() + cloud.tobytes())
+    kinds = ("ply", "npy", "xyz", "csv", "pts", "pcd")
+    answers = [predict(weights, tmp_path / f"a.{kind}") for kind in kinds]
     first = answers[0]
     assert first.points_given == first.points_used == 64
     assert [name for name, _ in first.top] == [name for name, _ in answers[1].top]
@@ -61,11 +65,16 @@ def test_a_depth_image_is_the_cloud_it_was_made_from(weights, tmp_path):
         ("a.xyz", "1 2 3\n4 x 6\n", "cannot be read"),
         ("a.xyz", "1 2 3\n4 5 6\n", "2 finite points, at least 16"),
         ("a.xyz", "nan nan nan\n" * 20, "0 finite points"),
-        ("a.xyz", "1 2\n" * 20, r"shape \(20, 2\); expected \(N,3\) points"),
-        ("a.obj", "v 0 0 0", ".obj is not read"),
-        ("a.ply", "ply", "cannot be read|holds no points"),
+        ("a.xyz", "1 2\n" * 20, r"expected an \(n,3\) cloud with n ≥ 1, got \(20, 2\)"),
+        ("a.obj", "v 0 0 0", r"\.obj is not read; give a cloud \(\.ply, .* or a depth image"),
+        ("a.ply", "ply", "cannot be read"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 30\nproperty float x\nproperty float y\n"
+         "property float z\nend_header\n" + "0 0 1\n" * 20, "cut short: .* 30 vertex lines, 20"),
+        ("a.png", "no image", "cannot be read"),
+        ("a.npy", "no array", "cannot be read"),
+        ("a.npy", "", "cannot be read"),
     ],
-)
+)  # fmt: skip
 def test_a_file_that_is_no_cloud_says_so(weights, tmp_path, name, content, message):
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message):
@@ -89,6 +98,19 @@ def test_a_depth_image_needs_intrinsics_that_make_sense(weights, tmp_path):
         predict(weights, tmp_path / "d.npy", (-1, 1, 0, 0))
     with pytest.raises(InputError, match="no file at"):
         predict(weights, tmp_path / "absent.ply")
+    np.save(tmp_path / "deep.npy", np.ones((20, 30, 1)))
+    with pytest.raises(InputError, match=r"shape \(20, 30, 1\); a depth image is one channel"):
+        predict(weights, tmp_path / "deep.npy", (60, 60, 15, 10))
+
+
+def test_points_that_were_not_measured_are_dropped_from_any_cloud(tmp_path, rng):
+    points = rng.standard_normal((40, 3))
+    points[3], points[7, 1] = np.nan, np.inf
+    measured = np.delete(points, [3, 7], axis=0)
+    np.save(tmp_path / "a.npy", points)
+    np.savetxt(tmp_path / "a.xyz", points)
+    for name in ("a.npy", "a.xyz"):
+        assert np.array_equal(read_points(tmp_path / name), measured)
 
 
 def test_few_points_are_all_used_before_any_is_repeated(rng):

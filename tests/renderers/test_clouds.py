@@ -13,13 +13,13 @@ from scipy.spatial import cKDTree
 
 from partialbench.dataset.build import BuildPlan, build
 from partialbench.dataset.categories import MODELNET40
+from partialbench.dataset.cloud_files import read_cloud
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.rows import Job
 from partialbench.dataset.shards import read_columns
 from partialbench.dataset.verify import verify
 from partialbench.errors import InputError
 from renderers.hpr import HprOccluder
-from renderers.sources.cloud_files import read_cloud
 from renderers.sources.clouds import CompleteClouds, normalise_cloud
 from renderers.whole import WholeOccluder
 

@@ -27,8 +27,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from partialbench.dataset.categories import PS15
+from partialbench.dataset.ply import require_whole
 from partialbench.errors import InputError
-from renderers.sources.ply import require_whole
 
 LABEL_MAP = "scannetv2-labels.combined.tsv"
 NYU40_MAX = 40

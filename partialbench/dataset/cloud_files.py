@@ -10,36 +10,41 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from partialbench.dataset.ply import require_whole
 from partialbench.errors import InputError
-from renderers.sources.ply import require_whole
 
-SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".npy")
-"""The formats that are read, in the order of preference where an object comes in several."""
+FORMATS = (".ply", ".pcd", ".xyz", ".txt", ".npy", ".csv", ".pts")
+"""What ``read_cloud`` reads."""
+
+SUFFIXES = FORMATS[:5]
+"""What is a cloud in a folder, in the order of preference where an object comes in several.
+
+The other two are as often lists or labels there.
+"""
 
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
 
 
-def read_cloud(content: bytes, name: str) -> NDArray[np.float64]:
+def read_cloud(content: bytes, name: str, drop_unmeasured: bool = False) -> NDArray[np.float64]:
     """The points of one file, (n,3) float64 in the file's units and frame, n ≥ 1.
 
-    PLY and PCD give their vertices' x, y, z; XYZ, TXT and NPY their first three columns. Further
-    fields (colours, normals, faces) are left aside. Points that are not finite are dropped from a
-    PCD, where they mean "no measurement", and are an error elsewhere.
+    PLY and PCD give their vertices' x, y, z; all else its first three columns. Further fields
+    (colours, normals, faces) are left aside. Points that are not finite are dropped from a PCD,
+    where they mean "no measurement".
 
     Args:
         content: the file's bytes.
         name: its name; the suffix says the format.
+        drop_unmeasured: drop them from every format, as a capture may have them; without it they
+            are an error. Then n may be 0.
 
     Raises:
-        InputError: the format is none of ``SUFFIXES``, or the file is broken or has no points.
+        InputError: no format that is read, or the file is broken or has no points.
     """
     suffix = PurePosixPath(name).suffix.lower()
-    reader = {
-        ".ply": _read_ply, ".pcd": _read_pcd, ".xyz": _read_text, ".txt": _read_text,
-        ".npy": _read_npy,
-    }.get(suffix)  # fmt: skip
-    if reader is None:
-        raise InputError(f"{name}: {suffix or 'no'!r} is no cloud suffix of {', '.join(SUFFIXES)}")
+    if suffix not in FORMATS:
+        raise InputError(f"{name}: {suffix or 'no'!r} is no cloud suffix of {', '.join(FORMATS)}")
+    reader = {".ply": _read_ply, ".pcd": _read_pcd, ".npy": _read_npy}.get(suffix, _read_text)
     try:
         points = np.asarray(reader(content), np.float64)
     except InputError as error:
@@ -52,9 +57,9 @@ def read_cloud(content: bytes, name: str) -> NDArray[np.float64]:
         raise InputError(f"{name}: expected an (n,3) cloud with n ≥ 1, got {points.shape}")
     points = points[:, :3]
     finite = np.isfinite(points).all(axis=1)
-    if not finite.all():
+    if not (drop_unmeasured or finite.all()):
         raise InputError(f"{name}: {(~finite).sum()} of {len(points)} points are not finite")
-    return points
+    return points[finite]
 
 
 def _read_ply(content: bytes) -> NDArray:
