@@ -12,7 +12,7 @@ import trimesh
 
 from partialbench.dataset.ply import require_whole
 from partialbench.errors import InputError
-from renderers.sources.off import read_off
+from renderers.sources.off import check, read_off
 
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".dae")
 """The formats that are read, in the order of preference where an object comes in several."""
@@ -86,15 +86,7 @@ def _read_other(content: bytes, suffix: str, name: str) -> trimesh.Trimesh:
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if not len(faces):
         raise InputError(f"{name}: has no faces; expected a mesh, not points or lines")
-    if not np.isfinite(vertices).all():
-        k = int(np.flatnonzero(~np.isfinite(vertices).all(axis=1))[0])
-        raise InputError(f"{name}: vertex {k} is {vertices[k].tolist()}; expected finite numbers")
-    outside = (faces < 0) | (faces >= len(vertices))
-    if outside.any():
-        raise InputError(
-            f"{name}: a face names vertex {faces[outside][0]}; the file's vertices are 0 to "
-            f"{len(vertices) - 1}"
-        )
+    check(vertices, faces, name)
     return _mesh(vertices, faces)
 
 

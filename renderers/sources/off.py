@@ -53,7 +53,7 @@ def read_off(source: bytes | str | PathLike[str], name: str = "") -> trimesh.Tri
     vertex_count, face_count, body = _header(content, name)
     parsed = _read_regular(body, vertex_count, face_count)
     vertices, faces = parsed or _read_by_line(body, vertex_count, face_count, name)
-    _check(vertices, faces, name)
+    check(vertices, faces, name)
     return trimesh.Trimesh(vertices, faces, process=False, validate=False)
 
 
@@ -139,7 +139,8 @@ def _read_by_line(
         raise InputError(f"{name}: a vertex index does not fit 64 bits") from None
 
 
-def _check(vertices: NDArray[np.float64], faces: NDArray[np.int64], name: str) -> None:
+def check(vertices: NDArray[np.float64], faces: NDArray[np.int64], name: str) -> None:
+    """Raise ``InputError`` for a vertex that is no point or a face that names none."""
     finite = np.isfinite(vertices)
     if not finite.all():
         k = int(np.flatnonzero(~finite.all(axis=1))[0])
