@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -69,7 +70,11 @@ def _read_ply(content: bytes) -> NDArray:
 
 
 def _read_text(content: bytes) -> NDArray:
-    return np.loadtxt(io.StringIO(content.decode().replace(",", " ")), ndmin=2)
+    text = content.decode()
+    # Commas become spaces, so what stands behind an empty cell would move into it.
+    if re.search(r"(^|,)[ \t]*,", text, re.MULTILINE):
+        raise InputError("a cell is empty; expected a number between any two commas")
+    return np.loadtxt(io.StringIO(text.replace(",", " ")), ndmin=2)
 
 
 def _read_npy(content: bytes) -> NDArray:

@@ -211,6 +211,8 @@ def test_unmeasured_points_of_a_pcd_are_dropped(rng: np.random.Generator) -> Non
         ("a.xyz", b"1 2\n3 4\n", r"expected an \(n,3\) cloud with n ≥ 1, got \(2, 2\)"),
         ("a.xyz", b"1 2 nan\n3 4 5\n", "1 of 2 points are not finite"),
         ("a.xyz", b"one two three\n", "cannot be read as XYZ"),
+        ("a.txt", b"1,2,3,4\n1,,3,4\n", "a.txt: a cell is empty"),
+        ("a.csv", b"1,2,3\n ,2,3\n", "a.csv: a cell is empty"),
         ("a.npy", b"junk", "cannot be read as NPY"),
         ("a.ply", b"ply\nformat", "cannot be read as PLY"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
