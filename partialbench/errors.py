@@ -1,5 +1,8 @@
 """The errors a user meets: each says what was wrong, the value, what was expected, what to do."""
 
+import contextlib
+from collections.abc import Iterator
+
 
 class PartialbenchError(Exception):
     """Base of every error this project raises for a reason a user can act on."""
@@ -11,3 +14,16 @@ class InputError(PartialbenchError, ValueError):
 
 class ConfigurationMismatchError(PartialbenchError):
     """An output folder was made with another configuration than the one asked for."""
+
+
+@contextlib.contextmanager
+def parsing(name: str, kind: str) -> Iterator[None]:
+    """Turns whatever goes wrong while a file of a kind ("PLY") is parsed into an ``InputError``."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    except Exception as error:  # each format's parser fails in its own ways
+        raise InputError(
+            f"{name}: cannot be read as {kind} ({type(error).__name__}: {error})"
+        ) from error

@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from partialbench.dataset.ply import require_whole
-from partialbench.errors import InputError
+from partialbench.errors import InputError, parsing
 
 FORMATS = (".ply", ".pcd", ".xyz", ".txt", ".npy", ".csv", ".pts")
 """What ``read_cloud`` reads."""
@@ -46,14 +46,8 @@ def read_cloud(content: bytes, name: str, drop_unmeasured: bool = False) -> NDAr
     if suffix not in FORMATS:
         raise InputError(f"{name}: {suffix or 'no'!r} is no cloud suffix of {', '.join(FORMATS)}")
     reader = {".ply": _read_ply, ".pcd": _read_pcd, ".npy": _read_npy}.get(suffix, _read_text)
-    try:
+    with parsing(name, suffix[1:].upper()):
         points = np.asarray(reader(content), np.float64)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
-    except Exception as error:  # each format's parser fails in its own ways
-        raise InputError(
-            f"{name}: cannot be read as {suffix[1:].upper()} ({type(error).__name__}: {error})"
-        ) from error
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0:
         raise InputError(f"{name}: expected an (n,3) cloud with n ≥ 1, got {points.shape}")
     points = points[:, :3]

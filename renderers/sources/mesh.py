@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from partialbench.dataset.ply import require_whole
-from partialbench.errors import InputError
+from partialbench.errors import InputError, parsing
 from renderers.sources.off import check, read_off
 
 SUFFIXES = (".off", ".obj", ".ply", ".stl", ".glb", ".dae")
@@ -72,17 +72,11 @@ def _read_other(content: bytes, suffix: str, name: str) -> trimesh.Trimesh:
     options: dict[str, Any] = {}
     if kind == "obj":
         options = {"skip_materials": True, "maintain_order": True}
-    try:
+    with parsing(name, kind.upper()):
         if kind == "ply":
             require_whole(content)
         scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False, **options)
         mesh = scene.to_mesh()
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
-    except Exception as error:  # each format's parser fails in its own ways
-        raise InputError(
-            f"{name}: cannot be read as {kind.upper()} ({type(error).__name__}: {error})"
-        ) from error
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if not len(faces):
         raise InputError(f"{name}: has no faces; expected a mesh, not points or lines")
