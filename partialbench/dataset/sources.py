@@ -32,6 +32,20 @@ class ObjectRef:
     location: str
 
 
+@dataclass(frozen=True, eq=False)
+class OrientedCloud:
+    """A complete cloud whose source knows its normals.
+
+    Attributes:
+        points: (n,3) float32, object frame, normalised as ``Source.load`` says.
+        normals: (n,3) float32 unit vectors of the surface at each point, object frame; which of
+            the two sides they point to does not matter, a view turns them to its camera.
+    """
+
+    points: NDArray[np.float32]
+    normals: NDArray[np.float32]
+
+
 @dataclass
 class View:
     """What one viewpoint sees of one object.
@@ -115,7 +129,8 @@ class Source(Protocol):
         ...
 
     def load(self, ref: ObjectRef) -> Any:
-        """The shape: a ``trimesh.Trimesh`` or an (n,3) float32 cloud in the object frame.
+        """The shape: a ``trimesh.Trimesh``, an (n,3) float32 cloud in the object frame, or an
+        ``OrientedCloud`` where the source has the cloud's normals.
 
         Normalised: bounding-box centre at the origin, largest norm 1. Raises ``InputError`` when
         the file is not what it should be.
