@@ -11,13 +11,13 @@ from itertools import islice
 
 import numpy as np
 
-from partialbench.benchmark.batches import BatchStream, map_rotations
-from partialbench.benchmark.protocol import PRESETS
-from partialbench.benchmark.uncertainty import bootstrap_intervals, paired_p_values
+from partialbench.benchmark.protocol.protocol import PRESETS
+from partialbench.benchmark.testing.uncertainty import bootstrap_intervals, paired_p_values
+from partialbench.benchmark.training.batches import BatchStream
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.loader import ShardDataset
 from partialbench.geometry.rotations import haar_rotations
-from partialbench.geometry.symmetry import CLASS_SYMMETRY
+from partialbench.geometry.symmetry import CLASS_SYMMETRY, map_rotations
 
 
 def rate(seconds: float, count: int) -> str:

@@ -3,7 +3,7 @@
     python -m benchmarks.memory [--models papnet-steered dgcnn] [--batch 32] [--points 256]
 
 Each model's step is timed in a process of its own without and with
-``partialbench.benchmark.memory``, in turns; figures are the fastest of the turns.
+``partialbench.benchmark.training.memory``, in turns; figures are the fastest of the turns.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from benchmarks.models import seconds, training_step
 from benchmarks.released_papnet import posed_step
 from benchmarks.steered import clouds
 from partialbench import registry
-from partialbench.benchmark.memory import keep_freed_memory
+from partialbench.benchmark.training.memory import keep_freed_memory
 
 
 def step_seconds(name: str, batch: int, points: int, keep: bool) -> float:

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from partialbench.benchmark import checkpoint
-from partialbench.benchmark.memory import keep_freed_memory
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.predict import draw
+from partialbench.benchmark.training import checkpoint
+from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.dataset.loader import ShardDataset
 
 BATCH = 16

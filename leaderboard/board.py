@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from partialbench.benchmark.protocol import PRESETS
-from partialbench.benchmark.results import Result
+from partialbench.benchmark.protocol.protocol import PRESETS
+from partialbench.benchmark.records.results import Result
 
 
 class Pose(NamedTuple):

@@ -14,7 +14,7 @@ from leaderboard.layouts import layouts
 from leaderboard.poses import pose_layouts
 from leaderboard.settings import setting_layouts
 from leaderboard.tuning import tuning_layouts
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 

@@ -6,9 +6,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from partialbench.benchmark import metrics, results
-from partialbench.benchmark.results import SUFFIX, Result
-from partialbench.benchmark.trials import FILE, read_trials
+from partialbench.benchmark.records import results
+from partialbench.benchmark.records.results import SUFFIX, Result
+from partialbench.benchmark.records.trials import FILE, read_trials
+from partialbench.benchmark.testing import metrics
 from partialbench.errors import InputError
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leaderboard.board import Column, ranked
-from partialbench.benchmark import results
-from partialbench.benchmark.metrics import shared_clouds
-from partialbench.benchmark.predictions import Predictions
-from partialbench.benchmark.results import Result
-from partialbench.benchmark.uncertainty import (
+from partialbench.benchmark.records import results
+from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.testing.metrics import shared_clouds
+from partialbench.benchmark.testing.uncertainty import (
     bootstrap_intervals,
     flips_for,
     holm,

@@ -18,8 +18,8 @@ from leaderboard.board import Cell, Column, ranked
 from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import interval, percent, row_title
-from partialbench.benchmark.results import Result
-from partialbench.benchmark.uncertainty import bootstrap_intervals
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 from partialbench.errors import InputError
 
 

@@ -19,8 +19,8 @@ from leaderboard.given import OWN, RANDOM, GivenPoses
 from leaderboard.layouts import noise_title
 from leaderboard.settings import compared_rows, setting_families
 from leaderboard.words import paper_score, row_title
-from partialbench.benchmark import results
-from partialbench.benchmark.metrics import (
+from partialbench.benchmark.records import results
+from partialbench.benchmark.testing.metrics import (
     VISIBILITY_EDGES,
     best_pose_errors_deg,
     confusion,

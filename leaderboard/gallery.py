@@ -10,7 +10,7 @@ import numpy as np
 
 from leaderboard.board import Column, ranked
 from leaderboard.words import row_title
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.seeding import generator

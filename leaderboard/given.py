@@ -20,9 +20,9 @@ from leaderboard.board import Column, ranked
 from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import difference, row_title
-from partialbench.benchmark.given_pose import RANDOM
-from partialbench.benchmark.results import Result
-from partialbench.benchmark.uncertainty import bootstrap_intervals
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.testing.given_pose import RANDOM
+from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 
 OWN, TRUE = "own", "0"
 

@@ -16,14 +16,14 @@ from leaderboard.board import Column, ranked
 from leaderboard.comparison import counted
 from leaderboard.layouts import Layout, noise_title
 from leaderboard.words import difference, interval, percent, row_title
-from partialbench.benchmark.metrics import (
+from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.testing.metrics import (
     best_pose_errors_deg,
     ensemble_correct,
     pose_hits,
 )
-from partialbench.benchmark.predictions import Predictions
-from partialbench.benchmark.results import Result
-from partialbench.benchmark.uncertainty import bootstrap_intervals
+from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 
 TOP_K = (1, 5, 20)
 NEAR_DEG = 30.0

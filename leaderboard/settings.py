@@ -11,7 +11,7 @@ from leaderboard.board import Cell, Column, own_columns, ranked
 from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import difference, percent, row_title
-from partialbench.benchmark.uncertainty import bootstrap_intervals, per_object
+from partialbench.benchmark.testing.uncertainty import bootstrap_intervals, per_object
 
 SETTINGS = ("aligned", "rotated", "partial")
 

@@ -11,8 +11,8 @@ from leaderboard.agreement import AGREEMENT, accuracies, agree
 from leaderboard.board import Column, own_columns
 from leaderboard.layouts import Layout
 from leaderboard.words import engineering, percent
-from partialbench.benchmark.results import Result, with_changes
-from partialbench.benchmark.trials import FILE, Trial, read_trials
+from partialbench.benchmark.records.results import Result, with_changes
+from partialbench.benchmark.records.trials import FILE, Trial, read_trials
 
 AS_IT_IS = "as it is"
 

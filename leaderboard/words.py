@@ -6,8 +6,8 @@ import math
 import re
 
 from leaderboard.board import Cell, Column, protocol_title
-from partialbench.benchmark.origin import clouds_before
-from partialbench.benchmark.results import Result, with_changes
+from partialbench.benchmark.records.origin import clouds_before
+from partialbench.benchmark.records.results import Result, with_changes
 
 
 def row_title(result: Result) -> str:

@@ -53,6 +53,17 @@ def test_geometry_knows_neither_torch_nor_files_nor_the_rest():
             assert not name.startswith(("torch", "h5py", "pathlib", "partialbench.dataset")), path
 
 
+def test_the_rooms_of_the_benchmark_import_one_way():
+    """Training may ask for a test and a test for a record, and all for the rules; never back."""
+    rooms = ("protocol", "records", "testing", "training")
+    hall = ROOT / "partialbench" / "benchmark"
+    for number, room in enumerate(rooms):
+        for path in (hall / room).glob("*.py"):
+            for name in imported(path):
+                later = name.removeprefix("partialbench.benchmark.").split(".")[0]
+                assert later not in rooms[number + 1 :], f"{path}: {name}"
+
+
 def loaded_by(statement: str) -> set[str]:
     code = f"import sys; {statement}; print(' '.join(m.split('.')[0] for m in sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from partialbench.benchmark import checkpoint
 from partialbench.benchmark.models import as_prediction
+from partialbench.benchmark.training import checkpoint
 from partialbench.dataset.cloud_files import FORMATS, read_cloud
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError

@@ -11,16 +11,20 @@ from typing import Any
 import torch
 from lightning.fabric import Fabric
 
-from partialbench.benchmark import checkpoint, finetune, given_pose, models, results, testing
-from partialbench.benchmark import protocol as protocols
-from partialbench.benchmark import recipe as recipes
-from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark import models
+from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.environment import FULL_PRECISION, precision_of
-from partialbench.benchmark.memory import keep_freed_memory
-from partialbench.benchmark.protocol import Protocol
-from partialbench.benchmark.results import Result
-from partialbench.benchmark.split import balanced_subset, split_by_object
-from partialbench.benchmark.train import Task, train
+from partialbench.benchmark.protocol import protocol as protocols
+from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.protocol.protocol import Protocol
+from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
+from partialbench.benchmark.records import results
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.testing import given_pose
+from partialbench.benchmark.testing import run as testing
+from partialbench.benchmark.training import checkpoint, finetune
+from partialbench.benchmark.training.memory import keep_freed_memory
+from partialbench.benchmark.training.train import Task, train
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 from partialbench.registry import Recipe

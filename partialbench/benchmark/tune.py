@@ -11,14 +11,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from partialbench.benchmark import finetune, models
-from partialbench.benchmark import protocol as protocols
-from partialbench.benchmark import recipe as recipes
+from partialbench.benchmark import models
 from partialbench.benchmark.environment import FULL_PRECISION, precision_of
-from partialbench.benchmark.memory import keep_freed_memory
+from partialbench.benchmark.protocol import protocol as protocols
+from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.records.trials import FILE, Trial, add_trial
 from partialbench.benchmark.run import describe_changes, make_fabric, make_task, run_folder
-from partialbench.benchmark.train import train
-from partialbench.benchmark.trials import FILE, Trial, add_trial
+from partialbench.benchmark.training import finetune
+from partialbench.benchmark.training.memory import keep_freed_memory
+from partialbench.benchmark.training.train import train
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 

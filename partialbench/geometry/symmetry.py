@@ -108,3 +108,17 @@ def pose_error(predicted: NDArray, true: NDArray, symmetry: Symmetry) -> NDArray
         return geodesic_angle(predicted, true @ axis_rotation("z", theta))
     equivalent = true[..., None, :, :] @ symmetry.elements
     return geodesic_angle(predicted[..., None, :, :], equivalent).min(axis=-1)
+
+
+def map_rotations(rotation: NDArray, symmetries: NDArray[np.str_]) -> NDArray[np.float64]:
+    """``map_rotation`` for rows of mixed symmetry.
+
+    Args:
+        rotation: (B,3,3) object → camera.
+        symmetries: (B,) group names.
+    """
+    mapped = np.array(rotation, np.float64)
+    for name in set(symmetries.tolist()):
+        rows = symmetries == name
+        mapped[rows] = map_rotation(mapped[rows], GROUPS[name])
+    return mapped

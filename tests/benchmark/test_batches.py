@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from partialbench.benchmark.batches import BatchStream, Place, map_rotations
-from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.protocol.protocol import Protocol
+from partialbench.benchmark.training.batches import BatchStream, Place
 from partialbench.geometry.rotations import haar_rotations, is_rotation
-from partialbench.geometry.symmetry import GROUPS, map_rotation
+from partialbench.geometry.symmetry import GROUPS, map_rotation, map_rotations
 from tests.benchmark import memory_clouds
 
 PROTOCOL = Protocol("test", num_points=64, jitter_sigma=0.0)

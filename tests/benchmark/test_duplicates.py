@@ -6,8 +6,9 @@ import h5py
 import numpy as np
 import pytest
 
-from partialbench.benchmark import duplicates, metrics, results
+from partialbench.benchmark.records import results
 from partialbench.benchmark.run import run_eval
+from partialbench.benchmark.testing import duplicates, metrics
 from partialbench.dataset import build as builder
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.loader import ShardDataset

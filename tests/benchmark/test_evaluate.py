@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from partialbench import registry
-from partialbench.benchmark import audit, evaluate, metrics
+from partialbench.benchmark.testing import audit, evaluate, metrics
 from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import MemoryClouds
 from tests.benchmark.tiny_models import Bare, Posed

@@ -9,9 +9,9 @@ import torch
 from typer.testing import CliRunner
 
 from leaderboard.words import budget
-from partialbench.benchmark import checkpoint, finetune
-from partialbench.benchmark.origin import clouds_before
+from partialbench.benchmark.records.origin import clouds_before
 from partialbench.benchmark.run import run_eval
+from partialbench.benchmark.training import checkpoint, finetune
 from partialbench.cli import app
 from partialbench.errors import InputError
 from tests.benchmark.tiny_models import MODELS, SMALL, Bare, Posed

@@ -8,13 +8,15 @@ import torch
 from torch import nn
 from typer.testing import CliRunner
 
-from partialbench.benchmark import evaluate, given_pose, models, results
-from partialbench.benchmark.batches import map_rotations
+from partialbench.benchmark import models
 from partialbench.benchmark.prediction import Prediction
+from partialbench.benchmark.records import results
 from partialbench.benchmark.run import run_eval
+from partialbench.benchmark.testing import evaluate, given_pose
 from partialbench.cli import app
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import geodesic_angle
+from partialbench.geometry.symmetry import map_rotations
 from tests.benchmark.memory_clouds import MemoryClouds
 from tests.benchmark.tiny_models import MODELS, SMALL
 

@@ -13,7 +13,7 @@ from partialbench import registry
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.run import run_eval
-from partialbench.benchmark.train import WithLoss
+from partialbench.benchmark.training.train import WithLoss
 from partialbench.geometry.rotations import haar_rotations
 from tests.benchmark.tiny_models import MODELS, SMALL
 

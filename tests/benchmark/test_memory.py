@@ -9,7 +9,7 @@ import pytest
 
 SCRIPT = """
 import resource, torch
-from partialbench.benchmark.memory import keep_freed_memory
+from partialbench.benchmark.training.memory import keep_freed_memory
 KEEP = {keep}
 assert not KEEP or keep_freed_memory()
 def faults():

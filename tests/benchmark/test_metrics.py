@@ -11,8 +11,8 @@ import torch
 from scipy.spatial.transform import Rotation
 from torchmetrics.functional.classification import multiclass_calibration_error
 
-from partialbench.benchmark import metrics
-from partialbench.benchmark.predictions import Predictions
+from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.testing import metrics
 from partialbench.geometry.bins import nearest_bins, rotation_bins
 from partialbench.geometry.rotations import axis_rotation, haar_rotations
 from partialbench.geometry.symmetry import GROUPS, map_rotation

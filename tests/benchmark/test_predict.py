@@ -10,8 +10,8 @@ import torch
 import trimesh
 from PIL import Image
 
-from partialbench.benchmark import checkpoint
 from partialbench.benchmark.predict import draw, predict, read_points
+from partialbench.benchmark.training import checkpoint
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 from tests.benchmark.memory_clouds import MemoryClouds

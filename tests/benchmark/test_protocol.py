@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import nn
 
-from partialbench.benchmark import recipe as recipes
-from partialbench.benchmark.protocol import PRESETS, Protocol, from_dict, protocol
-from partialbench.benchmark.schedule import Schedule, learning_rate
-from partialbench.benchmark.split import balanced_subset, split_by_object
+from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.protocol.protocol import PRESETS, Protocol, from_dict, protocol
+from partialbench.benchmark.protocol.schedule import Schedule, learning_rate
+from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
 from partialbench.errors import InputError
 from partialbench.registry import ModelCard, Recipe
 

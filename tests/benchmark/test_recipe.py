@@ -5,7 +5,7 @@ import torch
 from torch.nn.functional import cross_entropy, log_softmax
 
 from partialbench import registry
-from partialbench.benchmark.recipe import changes, label_smoothing, override
+from partialbench.benchmark.protocol.recipe import changes, label_smoothing, override
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
 

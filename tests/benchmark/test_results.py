@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from partialbench.errors import InputError
 
 

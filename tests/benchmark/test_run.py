@@ -18,9 +18,10 @@ import torch
 from typer.testing import CliRunner
 
 from leaderboard.check import problems
-from partialbench.benchmark import metrics, results
 from partialbench.benchmark.predict import predict
+from partialbench.benchmark.records import results
 from partialbench.benchmark.run import run_eval
+from partialbench.benchmark.testing import metrics
 from partialbench.cli import app
 from partialbench.errors import ConfigurationMismatchError, InputError
 from tests.benchmark.memory_clouds import data_folder

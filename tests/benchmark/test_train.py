@@ -16,11 +16,12 @@ import pytest
 import torch
 from lightning.fabric import Fabric
 
-from partialbench.benchmark import checkpoint, environment
+from partialbench.benchmark import environment
 from partialbench.benchmark.prediction import Batch
-from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.run import make_task
-from partialbench.benchmark.train import DivergedError, WithLoss, train
+from partialbench.benchmark.training import checkpoint
+from partialbench.benchmark.training.train import DivergedError, WithLoss, train
 from partialbench.errors import ConfigurationMismatchError, InputError
 from partialbench.registry import Recipe
 from tests.benchmark.memory_clouds import MemoryClouds
@@ -271,7 +272,7 @@ TWO_PROCESSES = """
 import sys
 from pathlib import Path
 from partialbench.benchmark.run import make_fabric, make_task
-from partialbench.benchmark.train import train
+from partialbench.benchmark.training.train import train
 from tests.benchmark import test_train
 fabric = make_fabric("cpu", "32-true")
 task = make_task("tests.benchmark.tiny_models:MODEL", test_train.MemoryClouds(),

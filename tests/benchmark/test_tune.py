@@ -12,8 +12,8 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from partialbench.benchmark import checkpoint
-from partialbench.benchmark.trials import FILE, Trial, add_trial, read_trials
+from partialbench.benchmark.records.trials import FILE, Trial, add_trial, read_trials
+from partialbench.benchmark.training import checkpoint
 from partialbench.benchmark.tune import tune
 from partialbench.cli import app
 from partialbench.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from partialbench.benchmark.uncertainty import (
+from partialbench.benchmark.testing.uncertainty import (
     bootstrap_intervals,
     flips_for,
     holm,

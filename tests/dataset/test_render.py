@@ -6,7 +6,7 @@ import trimesh
 from typer.testing import CliRunner
 
 from partialbench.cli import app
-from partialbench.cli_data import _then
+from partialbench.cli.data import _then
 from partialbench.dataset.build import build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.loader import ShardDataset

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from partialbench.benchmark import metrics, results
-from partialbench.benchmark.predictions import Predictions
-from partialbench.benchmark.protocol import PRESETS
-from partialbench.benchmark.recipe import as_dict
-from partialbench.benchmark.results import DataRecord, Result
+from partialbench.benchmark.protocol.protocol import PRESETS
+from partialbench.benchmark.protocol.recipe import as_dict
+from partialbench.benchmark.records import results
+from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.records.results import DataRecord, Result
+from partialbench.benchmark.testing import metrics
 from partialbench.registry import ModelCard
 
 ENVIRONMENT = {"device": "cpu", "cpu": "a processor", "git_commit": "0" * 40, "packages": {}}

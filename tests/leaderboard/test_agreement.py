@@ -5,7 +5,7 @@ import pytest
 from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.latex import escape
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from tests.leaderboard.records import add
 
 ACCURACIES = {"a": 0.9, "b": 0.7, "c": 0.5, "d": 0.3, "e": 0.1}

@@ -9,7 +9,7 @@ from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
 from leaderboard.curves import find_families
 from leaderboard.given import as_layout, find_given_poses
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from tests.leaderboard.records import add, small_board
 
 ACCURACIES = {"random": 0.3, "15": 0.95, "0": 0.99, "5": 0.97}

@@ -17,7 +17,7 @@ from leaderboard.layouts import ABLATIONS, DEFAULT_DELTA_DEG, DEFAULT_VARIANT, G
 from leaderboard.words import without_duplicates
 from papnet.model import VARIANTS, PAPNet
 from partialbench import registry
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from tests.leaderboard.records import add
 
 

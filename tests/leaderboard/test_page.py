@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from leaderboard.build import build_leaderboard
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from partialbench.dataset.loader import ShardDataset
 from tests.benchmark.memory_clouds import data_folder
 from tests.leaderboard.records import CLASSES, predictions, record, small_board

@@ -5,7 +5,7 @@ import pytest
 
 from leaderboard.board import make_board
 from leaderboard.poses import DECIDING, TOP_K, pose_layouts
-from partialbench.benchmark import results
+from partialbench.benchmark.records import results
 from tests.leaderboard.records import add
 
 

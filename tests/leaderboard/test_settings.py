@@ -5,8 +5,8 @@ import pytest
 
 from leaderboard.board import make_board
 from leaderboard.settings import setting_families, setting_layouts
-from partialbench.benchmark import results
-from partialbench.benchmark.uncertainty import bootstrap_intervals
+from partialbench.benchmark.records import results
+from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 from tests.leaderboard.records import add
 
 

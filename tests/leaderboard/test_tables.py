@@ -19,8 +19,8 @@ from leaderboard.check import problems
 from leaderboard.comparison import compare
 from leaderboard.latex import escape
 from leaderboard.words import engineering, model_input
-from partialbench.benchmark import results
-from partialbench.benchmark.protocol import protocol
+from partialbench.benchmark.protocol.protocol import protocol
+from partialbench.benchmark.records import results
 from partialbench.errors import InputError
 from tests.leaderboard.records import add, predictions, record, small_board
 

@@ -9,8 +9,8 @@ import pytest
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
 from leaderboard.tuning import tuning_layouts
-from partialbench.benchmark import results
-from partialbench.benchmark.trials import FILE, Trial, add_trial
+from partialbench.benchmark.records import results
+from partialbench.benchmark.records.trials import FILE, Trial, add_trial
 from partialbench.errors import InputError
 from tests.leaderboard.records import add
 

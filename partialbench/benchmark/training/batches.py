@@ -10,45 +10,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
-from typing import Protocol as Interface
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.prediction import Batch
-from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
-from partialbench.geometry.symmetry import GROUPS, map_rotation
-
-
-class Clouds(Interface):
-    """What the harness asks of a data set; ``dataset.loader.ShardDataset`` is one."""
-
-    labels: NDArray[np.int64]
-    object_ids: NDArray[np.str_]
-    views: NDArray[np.int32]
-    rotations: NDArray[np.float64]
-    visible_fraction: NDArray[np.float32]
-    symmetries: NDArray[np.str_]
-    source_digests: NDArray[np.str_]
-    class_names: tuple[str, ...]
-    dataset_id: str
-    setting: str
-    sensor: str
-    digest: str
-    num_points: int
-
-    def __len__(self) -> int: ...
-
-    def points(
-        self,
-        indices: NDArray | list[int],
-        rng: np.random.Generator | None = None,
-        distinct: bool = False,
-    ) -> NDArray[np.float32]: ...
+from partialbench.geometry.symmetry import map_rotations
 
 
 class Place(NamedTuple):
@@ -56,20 +29,6 @@ class Place(NamedTuple):
 
     epoch: int
     batch: int
-
-
-def map_rotations(rotation: NDArray, symmetries: NDArray[np.str_]) -> NDArray[np.float64]:
-    """``geometry.symmetry.map_rotation`` for rows of mixed symmetry.
-
-    Args:
-        rotation: (B,3,3) object → camera.
-        symmetries: (B,) group names.
-    """
-    mapped = np.array(rotation, np.float64)
-    for name in set(symmetries.tolist()):
-        rows = symmetries == name
-        mapped[rows] = map_rotation(mapped[rows], GROUPS[name])
-    return mapped
 
 
 class BatchStream:

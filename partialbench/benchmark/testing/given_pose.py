@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from partialbench.benchmark.batches import Clouds, map_rotations
+from partialbench.benchmark.clouds import Clouds
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import euler_noise, haar_rotations
+from partialbench.geometry.symmetry import map_rotations
 
 RANDOM = "random"
 ARGUMENT = "rotation"

@@ -10,9 +10,9 @@ import torch
 from torch import nn
 from torch.optim import Optimizer
 
-from partialbench.benchmark.muon import Muon
-from partialbench.benchmark.protocol import Protocol, is_number
-from partialbench.benchmark.schedule import check as check_schedule
+from partialbench.benchmark.protocol.protocol import Protocol, is_number
+from partialbench.benchmark.protocol.schedule import check as check_schedule
+from partialbench.benchmark.training.muon import Muon
 from partialbench.errors import InputError
 from partialbench.registry import SHORT_RECIPE, ModelCard, Recipe, close_matches
 

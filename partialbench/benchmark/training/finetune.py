@@ -14,8 +14,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from partialbench.benchmark import checkpoint
-from partialbench.benchmark.protocol import Protocol
+from partialbench.benchmark.protocol.protocol import Protocol
+from partialbench.benchmark.training import checkpoint
 from partialbench.errors import InputError
 
 

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from partialbench.benchmark.batches import map_rotations
-from partialbench.benchmark.predictions import Predictions
+from partialbench.benchmark.records.predictions import Predictions
 from partialbench.geometry.bins import nearest_bins, rotation_bins
-from partialbench.geometry.symmetry import GROUPS, pose_error
+from partialbench.geometry.symmetry import GROUPS, map_rotations, pose_error
 
 VISIBILITY_EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1.0)
 

@@ -26,21 +26,16 @@ from rich.console import Console
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from partialbench.benchmark import (
-    audit,
-    checkpoint,
-    duplicates,
-    environment,
-    evaluate,
-    finetune,
-    models,
-)
-from partialbench.benchmark import recipe as recipes
-from partialbench.benchmark.batches import BatchStream, Clouds, Place
+from partialbench.benchmark import environment, models
+from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.prediction import Batch, Prediction
-from partialbench.benchmark.protocol import Protocol
-from partialbench.benchmark.results import describe_data
-from partialbench.benchmark.schedule import Schedule
+from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.protocol.protocol import Protocol
+from partialbench.benchmark.protocol.schedule import Schedule
+from partialbench.benchmark.records.results import describe_data
+from partialbench.benchmark.testing import audit, duplicates, evaluate
+from partialbench.benchmark.training import checkpoint, finetune
+from partialbench.benchmark.training.batches import BatchStream, Place
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import ConfigurationMismatchError, PartialbenchError

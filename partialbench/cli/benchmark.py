@@ -1,39 +1,20 @@
-"""The command line: verbs only. Each parses, calls one public function and prints its result.
-
-stdout carries the result, stderr the log and the progress bar. Exit status: 0 done, 1 failed,
-2 wrong usage, 130 interrupted (what was finished is kept).
-"""
+"""The verbs that train, test and tune models, and classify with them."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import logging
-import os
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.logging import RichHandler
 from rich.table import Table
 
-from partialbench import __version__, arguments, cli_data, registry
-from partialbench.console import Json, continued_by, print_result, stderr, stdout
-from partialbench.errors import PartialbenchError
+from partialbench import arguments, registry
+from partialbench.console import Json, continued_by, print_result, stdout
 
-app = typer.Typer(
-    name="partialbench",
-    help="Pose-labelled single-view partial point clouds, and a benchmark of classifiers on them.",
-    epilog="Start with: partialbench quickstart",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode="markdown",
-    pretty_exceptions_enable=False,
-)
-app.add_typer(cli_data.commands)
-
+commands = typer.Typer()
 
 HOW_MUCH = (
     "how much: a minute; eight passes; real use; eight passes for all models, on clouds as in "
@@ -49,24 +30,7 @@ class Preset(StrEnum):
     paper = "paper"
 
 
-@app.callback(invoke_without_command=True)
-def _root(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="print the version")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="log more")] = False,
-) -> None:
-    if version:
-        print(__version__)
-        raise typer.Exit
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format="%(message)s",
-        handlers=[RichHandler(console=stderr, show_path=False)],
-        force=True,
-    )
-
-
-@app.command()
+@commands.command()
 def models(as_json: Json = False) -> None:
     """List the models that `eval --model` knows."""
     cards = registry.cards()
@@ -84,7 +48,7 @@ def models(as_json: Json = False) -> None:
     stdout.print(table)
 
 
-@app.command(
+@commands.command(
     name="eval",
     epilog="Examples: `partialbench eval --model pointnet --data data/pm40` · "
     "`partialbench eval --model my_model:make --data data/pm40 --preset smoke` · "
@@ -161,7 +125,7 @@ def evaluate(
         )
 
 
-@app.command(
+@commands.command(
     epilog="Example: `partialbench tune --model dgcnn --data data/pm40 --try lr=0.001 "
     "--try lr=0.003 --try lr=0.01 --protocol clouds_seen=24000`"
 )
@@ -189,7 +153,7 @@ def tune(
     as_json: Json = False,
 ) -> None:
     """Compare recipes on the validation split; run again, it continues."""
-    from partialbench.benchmark.trials import FILE
+    from partialbench.benchmark.records.trials import FILE
     from partialbench.benchmark.tune import tune as compare
 
     recipes = [arguments.pairs(arguments.parts(one)) for one in tries]
@@ -207,7 +171,7 @@ def tune(
     )
 
 
-@app.command(
+@commands.command(
     epilog="Examples: `partialbench predict --checkpoint results/runs/…/checkpoint.pt mug.ply` · "
     "`partialbench predict --checkpoint C depth.png --intrinsics 525,525,319.5,239.5 "
     "--depth-scale 0.001`"
@@ -243,58 +207,3 @@ def predict(
         lines.append(f"pose (R_camera_object, {answer.poses[0][1]:.1%}):")
         lines += ["  " + " ".join(f"{x:+.3f}" for x in row) for row in answer.poses[0][0]]
     print_result(data, as_json, "\n".join(lines))
-
-
-@app.command(epilog="Example: `partialbench leaderboard --results results --out board`")
-def leaderboard(
-    results: Annotated[Path, typer.Option(help="folder of records")] = Path("results"),
-    out: Annotated[Path, typer.Option(help="where tables go")] = Path("leaderboard_out"),
-    check: Annotated[
-        bool,
-        typer.Option("--check", help="recompute every score from the stored predictions first"),
-    ] = False,
-    data: Annotated[
-        list[Path] | None, typer.Option(help="data folders, for the clouds of the page's gallery")
-    ] = None,
-) -> None:
-    """Make tables, figures and page anew from the records."""
-    for path in registry.load(registry.LEADERBOARD)(results, out, check, tuple(data or ())):
-        print(path)
-
-
-@app.command()
-def quickstart(
-    out: Annotated[Path, typer.Option(help="where everything goes")] = Path("quickstart"),
-    model: Annotated[
-        list[str] | None,
-        typer.Option(help="which model to train (repeat for more) [pointnet, papnet-steered]"),
-    ] = None,
-    workers: Annotated[int, typer.Option(help="processes; 0: one per core")] = 0,
-) -> None:
-    """The whole job, small: render built-in shapes, train, test, table, gallery. Minutes."""
-    from partialbench.quickstart import quickstart as run
-
-    chosen = model or ["pointnet", "papnet-steered"]
-    with continued_by("the same command"):
-        print(run(out, chosen, workers or os.cpu_count() or 1, stderr))
-
-
-def main() -> None:
-    """Entry point: turns expected errors into one line on stderr and exit status 1."""
-    # A user's own model lives in the folder they stand in.
-    sys.path.insert(0, os.getcwd())
-    try:
-        app()
-    except PartialbenchError as error:
-        stderr.print(f"[bold red]error:[/] {_escaped(str(error))}")
-        sys.exit(1)
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
-
-
-if __name__ == "__main__":
-    main()

@@ -8,7 +8,7 @@ import io
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-from partialbench.benchmark.results import with_changes
+from partialbench.benchmark.records.results import with_changes
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 

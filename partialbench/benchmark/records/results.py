@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from partialbench.benchmark import older
-from partialbench.benchmark import predictions as prediction_files
-from partialbench.benchmark.batches import Clouds
-from partialbench.benchmark.predictions import Predictions
+from partialbench.benchmark.clouds import Clouds
+from partialbench.benchmark.records import older
+from partialbench.benchmark.records import predictions as prediction_files
+from partialbench.benchmark.records.predictions import Predictions
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.models import as_prediction, num_parameters
 from partialbench.dataset.seeding import generator
 from partialbench.geometry.rotations import haar_rotations

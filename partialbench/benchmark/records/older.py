@@ -11,10 +11,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from partialbench.benchmark import origin
-from partialbench.benchmark import protocol as protocols
-from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.environment import FULL_PRECISION
+from partialbench.benchmark.protocol import protocol as protocols
+from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.records import origin
 from partialbench.registry import Recipe
 
 _ADDED = {"given_pose": (4, ""), "model_code": (5, "")}

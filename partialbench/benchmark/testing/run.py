@@ -12,21 +12,14 @@ import numpy as np
 from lightning.fabric import Fabric
 from torch import nn
 
-from partialbench.benchmark import (
-    audit,
-    environment,
-    evaluate,
-    given_pose,
-    metrics,
-    models,
-    origin,
-    results,
-)
-from partialbench.benchmark import protocol as protocols
-from partialbench.benchmark import recipe as recipes
-from partialbench.benchmark.batches import Clouds
-from partialbench.benchmark.results import DataRecord, Result
-from partialbench.benchmark.split import balanced_subset
+from partialbench.benchmark import environment, models
+from partialbench.benchmark.clouds import Clouds
+from partialbench.benchmark.protocol import protocol as protocols
+from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.protocol.split import balanced_subset
+from partialbench.benchmark.records import origin, results
+from partialbench.benchmark.records.results import DataRecord, Result
+from partialbench.benchmark.testing import audit, evaluate, given_pose, metrics
 from partialbench.registry import ModelCard, Recipe
 
 log = logging.getLogger(__name__)

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import nn
 
-from partialbench.benchmark import duplicates
-from partialbench.benchmark.batches import Clouds
+from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
-from partialbench.benchmark.predictions import POSE_BINS_KEPT, Predictions
+from partialbench.benchmark.records.predictions import POSE_BINS_KEPT, Predictions
+from partialbench.benchmark.testing import duplicates
 from partialbench.errors import PartialbenchError
 
 

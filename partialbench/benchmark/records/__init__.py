@@ -1,0 +1,1 @@
+"""What was run, as it is written down and read again."""

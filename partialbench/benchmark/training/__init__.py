@@ -1,0 +1,1 @@
+"""From the rules to trained weights."""

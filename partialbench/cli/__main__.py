@@ -1,0 +1,3 @@
+from partialbench.cli import main
+
+main()
