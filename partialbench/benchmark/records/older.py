@@ -41,6 +41,7 @@ def upgraded(record: dict[str, Any]) -> dict[str, Any]:
             *recipes.deviations(
                 Recipe(**card["recipe"]), Recipe(**used),
                 protocols.from_dict(record["protocol"]), train["clouds"],
+                training["clouds_seen"],
             ),
             *origin.deviations(training.get("start")),
         ],

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.benchmark.clouds import Clouds
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.records import older
 from partialbench.benchmark.records import predictions as prediction_files
 from partialbench.benchmark.records.predictions import Predictions
@@ -141,12 +142,19 @@ class Result:
         return found
 
     @property
+    def _milestone(self) -> tuple[str, ...]:
+        """Its short name; records have not always had one."""
+        clouds = self.training.get("clouds")
+        return () if clouds is None else (milestones.name(clouds),)
+
+    @property
     def column(self) -> tuple[str, ...]:
-        """What must agree for two results to be compared: data and protocol, by digest."""
+        """What must agree for two results to be compared: data, protocol, milestone."""
         train, test = self.train_data, self.test_data
         return (
             train.id, train.setting, train.digest, test.id, test.setting, test.digest,
-            self.protocol_digest, *(f"{k}={v}" for k, v in self.conditions.items()),
+            self.protocol_digest, *self._milestone,
+            *(f"{k}={v}" for k, v in self.conditions.items()),
         )  # fmt: skip
 
     @property
@@ -162,7 +170,7 @@ class Result:
         if self.test_data.id != self.train_data.id:
             parts.append(f"on-{self.test_data.id}")
         parts += [f"{name}-{value}" for name, value in self.conditions.items()]
-        parts += [self.protocol["preset"], f"seed{self.seed}", short]
+        parts += [self.protocol["preset"], *self._milestone, f"seed{self.seed}", short]
         return file_name(*parts)
 
 

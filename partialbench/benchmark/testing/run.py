@@ -84,7 +84,9 @@ def _test(
         card=_card_as_dict(card),
         recipe=recipe,
         deviations=[
-            *recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
+            *recipes.deviations(
+                card.recipe, Recipe(**recipe), protocol, train_data.clouds, content["clouds"]
+            ),
             *origin.deviations(content["summary"].get("start")),
         ],
         protocol=protocol.as_dict(),
