@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol.protocol import PRESETS
 from partialbench.benchmark.records.results import Result
 
@@ -73,13 +74,8 @@ class Cell:
         )
 
     @property
-    def drift(self) -> float | None:
-        """How far logits move when a cloud is turned, as a share of their size, over seeds.
-
-        None where a record does not say it of its own test set.
-        """
-        if not all(r.rotation_audit for r in self.results):
-            return None
+    def drift(self) -> float:
+        """How far logits move when a cloud is turned, as a share of their size, over seeds."""
         return _mean(r.rotation_audit["drift"] for r in self.results)
 
     @property
@@ -172,7 +168,13 @@ def _title(result: Result) -> str:
     setting = train.setting if train.setting == test.setting else (
         f"{train.setting} → {test.setting}"
     )  # fmt: skip
-    return f"{sets}, {setting}, {protocol_title(result)}"
+    return f"{sets}, {setting}, {budget_title(result)}"
+
+
+def budget_title(result: Result) -> str:
+    """The protocol's title and the milestone: "mini 100k clouds"."""
+    milestone = f" {milestones.name(result.clouds)} clouds"
+    return protocol_title(result) + milestone
 
 
 def protocol_title(result: Result) -> str:

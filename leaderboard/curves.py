@@ -14,7 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from leaderboard.board import Cell, Column, ranked
+import numpy as np
+
+from leaderboard.board import Column, ranked
 from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import interval, percent, row_title
@@ -73,7 +75,7 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
     probes: dict[tuple[str, ...], list[Result]] = defaultdict(list)
     for result in records:
         # Two at once lie on no curve; poses that are given have ``given``.
-        if len(result.conditions) == 1 and "pose" not in result.conditions:
+        if len(result.conditions) == 1 and not result.conditions.keys() & {"pose", "scored"}:
             probes[_trained_on(result)].append(result)
     families = []
     for column in board:
@@ -117,7 +119,10 @@ def as_layout(family: Family) -> Layout:
 def _trained_on(result: Result) -> tuple[str, ...]:
     """What a probe shares with the column it belongs to: all but the test split's content."""
     train, test = result.train_data, result.test_data
-    return (train.id, train.setting, train.digest, test.id, test.setting, result.protocol_digest)
+    return (
+        train.id, train.setting, train.digest, test.id, test.setting, result.protocol_digest,
+        str(result.clouds),
+    )  # fmt: skip
 
 
 def _belongs(probe: Result, own: Result) -> bool:
@@ -153,6 +158,6 @@ def _point(x: float, seeds: list[Result], folder: Path) -> Point:
         )
     object_ids, values = share_correct(seeds, folder)
     ((low, high),) = bootstrap_intervals(values[:, None], object_ids)
-    pose = Cell(tuple(seeds)).pose
-    pose_deg = pose.median_deg if pose else None
+    poses = [seed.scores["pose"] for seed in seeds]
+    pose_deg = float(np.mean([pose["median_deg"] for pose in poses])) if all(poses) else None
     return Point(x, len(seeds), float(values.mean()), float(low), float(high), pose_deg)

@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from leaderboard.board import Column, protocol_title, ranked
+from leaderboard.board import Column, budget_title, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.words import interval, model_input, percent, reported, reported_name, row_title
 from partialbench.benchmark.records.results import Result, with_changes
@@ -89,23 +89,24 @@ def _others(result: Result, option: str) -> str:
 
 
 def _evaluations(board: list[Column]) -> list[Layout]:
-    """Table 1: methods by pairs of data sets; a table for each protocol with two pairs or more.
+    """Table 1: methods by pairs of data sets; a table for each protocol and milestone with
+    two pairs or more.
 
     Of columns that differ in digests alone it has the one with most rows.
     """
     fullest: dict[tuple[str, ...], Column] = {}
     for column in board:
         if column.reported:
-            pair = (*column.key[:2], *column.key[3:5], column.key[6])
+            pair = (*column.key[:2], *column.key[3:5], *column.key[6:8])
             fullest[pair] = max(fullest.get(pair, column), column, key=lambda c: len(c.cells))
-    protocols: dict[str, list[Column]] = defaultdict(list)
+    protocols: dict[tuple[str, ...], list[Column]] = defaultdict(list)
     for column in fullest.values():
-        protocols[column.key[6]].append(column)
+        protocols[column.key[6:8]].append(column)
     found = []
     for columns in protocols.values():
         if len(columns) < 2:
             continue
-        preset = protocol_title(next(iter(columns[0].cells.values())).results[0])
+        preset = budget_title(next(iter(columns[0].cells.values())).results[0])
         columns.sort(key=lambda c: (_PAIRS.index(c.reported), c.title))
         names = dict.fromkeys(
             name for column in columns for name in ranked(column)

@@ -20,7 +20,6 @@ from partialbench.benchmark.records.predictions import Predictions
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.metrics import (
     best_pose_errors_deg,
-    ensemble_correct,
     pose_hits,
 )
 from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
@@ -69,10 +68,7 @@ def _deciding(column: Column, folder: Path) -> Layout | None:
     rows = []
     for result, tested in _tested(column, folder, "ensemble"):
         object_ids = tested[0][0].object_ids
-        seeds = [
-            ensemble_correct(p.candidate_logits, p.candidate_classes, labels)
-            for p, labels in tested
-        ]
+        seeds = [p.decided == labels[:, None] for p, labels in tested]
         right = np.mean(seeds, axis=0)
         sizes = [k for k in DECIDING if k <= right.shape[1]]
         gain = (right[:, -1] - right[:, 0])[:, None]

@@ -17,17 +17,17 @@ SETTINGS = ("aligned", "rotated", "partial")
 
 
 def setting_families(board: list[Column]) -> list[dict[str, Column]]:
-    """Setting → column, for each data set and protocol with a row in two settings or more.
+    """Setting → column, for each data set, protocol and milestone with a row in two settings or more.
 
     The settings are in the paper's order. Only columns trained and tested alike are in it. Where a
     setting was trained with several numbers of clouds there is a family for each number, in which a
     setting that has not that number is stood for by the nearest that it has. Of columns that differ
     in digests alone it is the one with most rows, as in table 1.
     """
-    trained: dict[tuple[str, str], dict[str, list[Column]]] = {}
+    trained: dict[tuple[str, ...], dict[str, list[Column]]] = {}
     for column in own_columns(board):
-        data, setting, protocol = column.key[0], column.key[1], column.key[6]
-        trained.setdefault((data, protocol), {}).setdefault(setting, []).append(column)
+        data, setting, *budget = column.key[0], column.key[1], *column.key[6:8]
+        trained.setdefault((data, *budget), {}).setdefault(setting, []).append(column)
     families = {}
     for columns in trained.values():
         for size in sorted({c.training_clouds for each in columns.values() for c in each}):

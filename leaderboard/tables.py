@@ -73,9 +73,9 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
                 line += (
                     [f"{100 * pose.top_1:.1f}", f"{pose.median_deg:.0f}°"] if pose else ["–", "–"]
                 )
-            cost, drift = cell.cost, cell.drift
+            cost = cell.cost
             line += [
-                "–" if drift is None else f"{100 * drift:.1f}",
+                f"{100 * cell.drift:.1f}",
                 f"{cost['parameters']:,}",
                 engineering(cost["multiply_adds"]),
                 f"{cost['batch_ms']:.2f}",

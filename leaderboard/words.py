@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-from leaderboard.board import Cell, Column, protocol_title
+from leaderboard.board import Cell, Column, budget_title
 from partialbench.benchmark.records.origin import clouds_before
 from partialbench.benchmark.records.results import Result, with_changes
 
@@ -90,7 +90,7 @@ def describe(column: Column) -> str:
         f"{train.digest[:12]}), tested on {first.scores['clouds']:,} clouds of "
         f"{first.scores['objects']:,} objects ({test.id}, {test.digest[:12]}), "
         f"{first.protocol['num_points']:,} points a cloud; protocol "
-        f"{protocol_title(first)} ({first.protocol_digest[:12]})."
+        f"{budget_title(first)} ({first.protocol_digest[:12]})."
     )
 
 

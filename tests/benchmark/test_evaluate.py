@@ -17,8 +17,8 @@ def test_predictions_do_not_depend_on_the_batch_size():
     torch.manual_seed(0)
     model, clouds = Bare(3), MemoryClouds()
     rows = np.arange(50)
-    a = evaluate.predict_rows(model, clouds, rows, 3, batch_size=7)
-    b = evaluate.predict_rows(model, clouds, rows, 3, batch_size=50)
+    a = evaluate.predict_rows(model, clouds, rows, clouds.class_names, batch_size=7)
+    b = evaluate.predict_rows(model, clouds, rows, clouds.class_names, batch_size=50)
     assert np.array_equal(a.predicted, b.predicted)
     assert np.allclose(a.log_probabilities, b.log_probabilities, atol=2e-3)
     assert np.allclose(a.rotations, clouds.rotations[rows], atol=1e-6)
@@ -40,21 +40,19 @@ def test_what_is_stored_gives_the_score_of_every_ensemble(variant):
         model.k = k
         return model
 
-    stored = evaluate.predict_rows(papnet(20), clouds, rows, 3)
+    stored = evaluate.predict_rows(papnet(20), clouds, rows, clouds.class_names)
     labels = stored.labels.astype(int)
-    by_k = metrics.ensemble_accuracy(stored.candidate_logits, stored.candidate_classes, labels)
+    by_k = metrics.ensemble_accuracy(stored.decided, labels)
     if variant != "ground-truth":  # which decide by one pose, or by none
         assert by_k is None
         return
-    assert stored.candidate_logits.shape == (12, 20)
+    assert stored.decided.shape == (12, 20)
     assert by_k[19] == metrics.accuracy(labels, stored.predicted)
     assert len(set(by_k)) > 1
-    seven = evaluate.predict_rows(papnet(7), clouds, rows, 3)
-    assert seven.candidate_logits.shape == (12, 7)
+    seven = evaluate.predict_rows(papnet(7), clouds, rows, clouds.class_names)
+    assert seven.decided.shape == (12, 7)
     assert by_k[6] == metrics.accuracy(labels, seven.predicted)
-    loudest = stored.candidate_logits[:, :7].argmax(1)
-    answer = np.take_along_axis(stored.candidate_classes, loudest[:, None], 1)[:, 0]
-    assert np.array_equal(seven.predicted, answer)
+    assert np.array_equal(seven.predicted, stored.decided[:, 6])
 
 
 def test_candidates_of_another_shape_are_refused():
@@ -65,7 +63,8 @@ def test_candidates_of_another_shape_are_refused():
             return super().forward(clouds)._replace(candidates=said)
 
     with pytest.raises(InputError, match=r"classes have shape \(8, 19\), expected \(8, 20\) for 8"):
-        evaluate.predict_rows(Wrong(3), MemoryClouds(), np.arange(8), 3)
+        clouds = MemoryClouds()
+        evaluate.predict_rows(Wrong(3), clouds, np.arange(8), clouds.class_names)
 
 
 def test_a_model_that_answers_nan_is_refused():
@@ -76,7 +75,8 @@ def test_a_model_that_answers_nan_is_refused():
             return logits
 
     with pytest.raises(evaluate.NotFiniteError, match=r"1 of 8 clouds \(rows 0 to 7\)"):
-        evaluate.predict_rows(Nan(3), MemoryClouds(), np.arange(8), 3)
+        clouds = MemoryClouds()
+        evaluate.predict_rows(Nan(3), clouds, np.arange(8), clouds.class_names)
 
 
 def test_the_rotation_audit_tells_an_invariant_model_from_one_that_is_not():

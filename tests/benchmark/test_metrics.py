@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torchmetrics.functional.classification import multiclass_calibration_error
 
-from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.records.predictions import Predictions, deciding_classes
 from partialbench.benchmark.testing import metrics
 from partialbench.geometry.bins import nearest_bins, rotation_bins
 from partialbench.geometry.rotations import axis_rotation, haar_rotations
@@ -102,18 +102,20 @@ def test_a_label_outside_the_classes_is_an_error():
 
 
 def make(labels, logits, pose_bins=None, rotations=None, symmetries=None, visible=None,
-         under_poses=None, duplicate=None):  # fmt: skip
+         decided=None, duplicate=None, shared=None):  # fmt: skip
     labels = np.asarray(labels, np.int16)
     m = len(labels)
     logs = torch.as_tensor(np.asarray(logits, float)).log_softmax(1).numpy()
+    order = logs.argsort(1)[:, ::-1]
     return Predictions(
+        class_names=np.array(["a", "b"]), classes=order.astype(np.int16),
+        log_probabilities=np.take_along_axis(logs, order, 1).astype(np.float16),
+        shared=np.zeros((m, 0), np.int16) if shared is None else np.asarray(shared, np.int16),
         rows=np.arange(m, dtype=np.int32), labels=labels,
-        predicted=logs.argmax(1).astype(np.int16), log_probabilities=logs.astype(np.float16),
         pose_bins=np.zeros((m, 0), np.uint8) if pose_bins is None else pose_bins,
         quaternions=Rotation.from_matrix(np.tile(np.eye(3), (m, 1, 1)) if rotations is None
                                          else rotations).as_quat().astype(np.float32),
-        candidate_logits=np.zeros((m, 0), np.float32) if under_poses is None else under_poses[0],
-        candidate_classes=np.zeros((m, 0), np.int16) if under_poses is None else under_poses[1],
+        decided=np.zeros((m, 0), np.int16) if decided is None else decided,
         duplicate=np.zeros(m, bool) if duplicate is None else np.asarray(duplicate),
         symmetries=np.full(m, "none") if symmetries is None else np.asarray(symmetries),
         object_ids=np.array([f"o{i // 2}" for i in range(m)]), views=np.zeros(m, np.int32),
@@ -125,7 +127,10 @@ def test_classes_are_matched_by_name_with_and_without_the_other_outputs():
     """Model: bed, chair, sofa. Test data: sofa, lamp, bed (lamp unknown to the model)."""
     labels = [0, 0, 1, 2]  # sofa, sofa, lamp, bed
     logits = [[0, 5, 4], [0, 1, 5], [9, 0, 0], [5, 0, 1]]  # says chair, sofa, bed, bed
-    scores = metrics.scores(make(labels, logits), ["bed", "chair", "sofa"], ["sofa", "lamp", "bed"])
+    shared = [[2], [2], [0], [0]]  # sofa before bed, and so on
+    scores = metrics.scores(
+        make(labels, logits, shared=shared), ["bed", "chair", "sofa"], ["sofa", "lamp", "bed"]
+    )
     assert scores["clouds"] == 3  # the lamp is left out
     assert scores["accuracy"] == pytest.approx(2 / 3)
     assert scores["restricted_accuracy"] == 1.0  # chair is not a class of the test data
@@ -148,11 +153,13 @@ def test_the_loudest_of_the_first_k_poses_decides():
     logits = np.array([[1, 3, 2], [5, 4, 5], [0, 1, 9]], np.float32)
     classes = np.array([[0, 1, 0], [1, 0, 0], [2, 0, 1]], np.int16)
     # k = 1 says 0, 1, 2; k = 2 says 1, 1, 0; k = 3 says 1, 1 (the first of equals), 1.
-    assert metrics.ensemble_accuracy(logits, classes, np.array([0, 1, 1])) == pytest.approx(
+    decided = deciding_classes(logits, classes)
+    assert decided.tolist() == [[0, 1, 1], [1, 1, 1], [2, 0, 1]]
+    assert metrics.ensemble_accuracy(decided, np.array([0, 1, 1])) == pytest.approx(
         [2 / 3, 1 / 3, 2 / 3]
     )
-    assert metrics.ensemble_accuracy(logits[:, :0], classes[:, :0], np.zeros(3, int)) is None
-    p = make([0, 1, 1], np.eye(3), under_poses=(logits, classes))
+    assert metrics.ensemble_accuracy(decided[:, :0], np.zeros(3, int)) is None
+    p = make([0, 1, 1], np.eye(3), decided=decided)
     # By name: the model's classes stand in another order than the data's.
     scores = metrics.scores(p, ["b", "a", "c"], ["a", "b", "c"])
     assert scores["ensemble"] == pytest.approx([0, 2 / 3, 1 / 3])

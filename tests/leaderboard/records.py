@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,19 @@ from scipy.spatial.transform import Rotation
 from partialbench.benchmark.protocol.protocol import PRESETS
 from partialbench.benchmark.protocol.recipe import as_dict
 from partialbench.benchmark.records import results
-from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.records.predictions import Predictions, deciding_classes
 from partialbench.benchmark.records.results import DataRecord, Result
 from partialbench.benchmark.testing import metrics
 from partialbench.registry import ModelCard
 
-ENVIRONMENT = {"device": "cpu", "cpu": "a processor", "git_commit": "0" * 40, "packages": {}}
+
+def hash_of(name: str) -> str:
+    """A digest that a test calls ``name``; a digest stays as it is."""
+    return name if len(name) == 64 else hashlib.sha256(name.encode()).hexdigest()
+
+
+ENVIRONMENT = {"device": "cpu", "cpu": "a processor", "git_commit": "0" * 40, "packages": {},
+               "precision": "32-true"}  # fmt: skip
 CLASSES = ["bottle", "chair", "lamp", "table"]
 
 
@@ -33,29 +41,32 @@ def predictions(
     logits = rng.normal(0, 0.3, (size, len(CLASSES)))
     logits[np.arange(size), answer] = 3
     logs = logits - np.log(np.exp(logits).sum(1, keepdims=True))
+    order = np.argsort(-logs, axis=1)
     bins = np.argsort(rng.random((size, 60)), axis=1)[:, :20]
     each = np.argsort(rng.random((size, 20)), axis=1)  # which of the poses speaks loudest
     under_poses = np.where(each > 4, answer[:, None], rng.integers(0, 4, (size, 20)))
     kept = 20 if candidates else 0
     return Predictions(
         rows=np.arange(size, dtype=np.int32), labels=labels.astype(np.int16),
-        predicted=answer.astype(np.int16), log_probabilities=logs.astype(np.float16),
+        classes=order.astype(np.int16), shared=np.zeros((size, 0), np.int16),
+        log_probabilities=np.take_along_axis(logs, order, axis=1).astype(np.float16),
         pose_bins=(bins if posed else bins[:, :0]).astype(np.uint8),
-        candidate_logits=each[:, :kept].astype(np.float32),
-        candidate_classes=under_poses[:, :kept].astype(np.int16),
+        decided=deciding_classes(each[:, :kept], under_poses[:, :kept]),
         duplicate=np.arange(size) < duplicates * views,
         quaternions=Rotation.random(size, rng=truth).as_quat().astype(np.float32),
         symmetries=np.array(["z-inf", "none", "z-inf", "z-180"])[labels],
         object_ids=np.array([f"{CLASSES[i % 4]}_{i:04d}" for i in range(objects)]).repeat(views),
         views=np.tile(np.arange(views, dtype=np.int32), objects),
         visible_fraction=truth.uniform(0.1, 0.6, size).astype(np.float32),
+        class_names=np.array(CLASSES),
     )  # fmt: skip
 
 
 def record(
-    name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="mini",
+    name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="board",
     test=None, test_digest="b", paper=None, title=None, variant="", options=None,
     points=None, sensor="", setting="partial", given_pose="", clouds=100, model_code="",
+    milestone=0,
 ) -> Result:  # fmt: skip
     card = ModelCard(
         name=name, entry=f"x:{name}", title=title or name.upper(), paper="Somebody et al., 2021",
@@ -71,15 +82,19 @@ def record(
         model=name, variant=variant, options=options or {}, card=fields, recipe=fields["recipe"],
         deviations=["29 epochs instead of 250"], protocol=protocol.as_dict(),
         protocol_digest=protocol.digest,
-        train_data=DataRecord(data, setting, digest * 64, clouds, 20, CLASSES),
+        train_data=DataRecord(data, setting, hash_of(digest), clouds, 20, CLASSES,
+                              protocol.num_points),
         test_data=DataRecord(
-            test, setting, test_digest * 64, len(stored), objects, CLASSES,
+            test, setting, hash_of(test_digest), len(stored), objects, CLASSES,
             points or protocol.num_points, sensor,
         ),
         seed=seed,
+        clouds=milestone,
+        weights_sha256="e" * 64,
+        test_set_sha256="",
         given_pose=given_pose,
         model_code=model_code,
-        training={"epochs": 2, "steps": 6, "clouds_seen": 200, "seconds": 1.5,
+        training={"epochs": 2, "steps": 6, "clouds_seen": 192, "seconds": 1.5,
                   "clouds_per_second": 300.0, "train_loss": 0.5, "validation_accuracy": 0.7,
                   "peak_memory_bytes": 2**28, "environment": ENVIRONMENT,
                   "curve": {"train_loss": [1.5, 0.5], "validation_accuracy": [0.4, 0.7]}},
@@ -87,6 +102,7 @@ def record(
               "latency_ms": 3.0, "batch_ms": 0.5 * len(name), "batch_size": 32,
               "peak_memory_bytes": 2**27},
         rotation_audit={"drift": 0.25, "changed": 0.1, "clouds": 24, "turns": 2},
+        company_audit={"drift": 0.0, "clouds": 8, "random": False, "changed_buffers": []},
         environment=ENVIRONMENT,
         predictions_file="", predictions_sha256="",
         scores=metrics.scores(stored, CLASSES, CLASSES),

@@ -63,16 +63,6 @@ def test_pose_turning_and_classes_are_means_over_seeds_too(folder, tmp_path):
     assert classes[0] != classes[1]
 
 
-def test_turning_is_told_only_where_it_was_measured(folder, tmp_path):
-    path = next(p for p in sorted(folder.glob("*.json")) if "-on-" not in p.name)
-    row, column = results.read(path).row, results.read(path).column
-    forge(path, lambda text: text.update(rotation_audit={}), honest_digest=True)
-    board = {c.key: c for c in make_board(results.read_folder(folder))}
-    assert board[column].cells[row].drift is None
-    build_leaderboard(folder, tmp_path)
-    assert "–" in (tmp_path / "leaderboard.md").read_text()
-
-
 def test_the_cost_is_of_the_last_seed(tmp_path):
     for seed in range(2):
         path = add(tmp_path, "one", 0.5, seed=seed)

@@ -12,9 +12,9 @@ from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.trials import FILE, Trial, add_trial
 from partialbench.errors import InputError
-from tests.leaderboard.records import add
+from tests.leaderboard.records import add, hash_of
 
-TRIAL = Trial("one", "", "lr=0.001", 0, "a" * 64, "c" * 64, 4000, 1.5, 0.25)
+TRIAL = Trial("one", "", "lr=0.001", 0, hash_of("a"), "c" * 64, 4000, 1.5, 0.25)
 
 
 def write(folder, *trials):

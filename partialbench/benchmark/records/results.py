@@ -1,4 +1,8 @@
-"""Result records: one JSON file a run, its predictions beside it. Tables are made from these."""
+"""Result records: one JSON file a run, its predictions beside it. Tables are made from these.
+
+What several records share is stored once in their folder: the truth of a test set (``testsets``)
+and the model's card (``cards``), each under the digest by which a record names it.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +18,22 @@ from numpy.typing import NDArray
 
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.protocol import milestones
-from partialbench.benchmark.records import older
+from partialbench.benchmark.protocol import protocol as protocols
+from partialbench.benchmark.records import cards, schema, testsets
 from partialbench.benchmark.records import predictions as prediction_files
 from partialbench.benchmark.records.predictions import Predictions
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 FORMAT = "partialbench-result"
-FORMAT_VERSION = 5
-READABLE = (2, 3, 4, FORMAT_VERSION)
-"""What an earlier format lacked or said otherwise: ``older``."""
+FORMAT_VERSION = 6
 SUFFIX = ".result.json"
+PREDICTIONS_SUFFIX = ".predictions.npz"
+INDEPENDENT = 1e-3
+"""How far a company audit's logits may move, as a share of their size, for an answer to be a
+cloud's own: rounding moves them by less, another batch-mate by more."""
+LONGEST_ROW = 80
+"""Characters of a row's name in a file name; the digest at its end tells the rest apart."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class DataRecord:
         id: "pm40-parametric" and the like. setting: "partial", "rotated" or "aligned".
         digest: of the split's content.
         clouds, objects: how many of it were used.
-        points: of a cloud; None where a record does not say: the protocol's.
+        points: of a cloud.
         sensor: "kinect-v1:2" and the like, "" for exact depth.
     """
 
@@ -45,7 +54,7 @@ class DataRecord:
     clouds: int
     objects: int
     class_names: list[str]
-    points: int | None = None
+    points: int
     sensor: str = ""
 
 
@@ -89,11 +98,14 @@ class Result:
         train_data, test_data: see ``DataRecord``.
         given_pose: what the model was told of each test cloud's pose, see ``given_pose.parse``; ""
             for nothing, as ever but for such a test.
+        clouds: the milestone it was trained to, in clouds seen; 0 where the protocol itself says how
+            long. ``training["clouds_seen"]`` is the exact number.
         training: see ``train.Trained.summary``.
-        cost: see ``audit.cost``. rotation_audit: see there; {} where a record of an earlier format
-            does not say on which test set.
+        weights_sha256: of the tensors that were tested.
+        cost: see ``audit.cost``. rotation_audit: see there. company_audit: see ``company``.
         environment: of the test: hardware, package versions, git commit (None outside a checkout);
             that of the training is in ``training``.
+        test_set_sha256: names the truth it was tested against, see ``testsets``.
         predictions_file, predictions_sha256: beside the record.
         scores: what ``metrics.scores`` makes of the stored predictions.
     """
@@ -109,12 +121,16 @@ class Result:
     train_data: DataRecord
     test_data: DataRecord
     seed: int
+    clouds: int
     given_pose: str
     model_code: str
+    weights_sha256: str
     training: dict[str, Any]
     cost: dict[str, Any]
     rotation_audit: dict[str, Any]
+    company_audit: dict[str, Any]
     environment: dict[str, Any]
+    test_set_sha256: str
     predictions_file: str
     predictions_sha256: str
     scores: dict[str, Any]
@@ -129,32 +145,28 @@ class Result:
         """In what the test was made to differ from the training; mostly in nothing.
 
         "points": of a cloud. "sensor": what distorted the clouds, on the data set trained on.
-        "pose": what was told of theirs.
+        "pose": what was told of theirs. "scored": "transductively", where the answer for a cloud
+        hangs on the clouds scored beside it.
         """
         train, test = self.train_data, self.test_data
         found = {}
-        if test.points not in (None, self.protocol["num_points"]):
+        if test.points != self.protocol["num_points"]:
             found["points"] = str(test.points)
         if test.id == train.id and test.sensor != train.sensor:
             found["sensor"] = test.sensor or "ideal"
         if self.given_pose:
             found["pose"] = self.given_pose
+        if self.company_audit["drift"] > INDEPENDENT:
+            found["scored"] = "transductively"
         return found
 
     @property
-    def _milestone(self) -> tuple[str, ...]:
-        """Its short name; records have not always had one."""
-        clouds = self.training.get("clouds")
-        return () if clouds is None else (milestones.name(clouds),)
-
-    @property
     def column(self) -> tuple[str, ...]:
-        """What must agree for two results to be compared: data, protocol, milestone."""
+        """What must agree for two results to be compared: data and protocol by digest, milestone."""
         train, test = self.train_data, self.test_data
         return (
             train.id, train.setting, train.digest, test.id, test.setting, test.digest,
-            self.protocol_digest, *self._milestone,
-            *(f"{k}={v}" for k, v in self.conditions.items()),
+            self.protocol_digest, str(self.clouds), *(f"{k}={v}" for k, v in self.conditions.items()),
         )  # fmt: skip
 
     @property
@@ -166,97 +178,118 @@ class Result:
     def run_name(self) -> str:
         """File name stem: the same run writes the same file."""
         short = hashlib.sha256(json.dumps(self.identity).encode()).hexdigest()[:8]
-        parts = [self.row, self.train_data.id]
+        parts = [self.row[:LONGEST_ROW], self.train_data.id]
         if self.test_data.id != self.train_data.id:
             parts.append(f"on-{self.test_data.id}")
         parts += [f"{name}-{value}" for name, value in self.conditions.items()]
-        parts += [self.protocol["preset"], *self._milestone, f"seed{self.seed}", short]
+        parts.append(self.protocol["preset"])
+        parts.append(milestones.name(self.clouds))
+        parts += [f"seed{self.seed}", short]
         return file_name(*parts)
 
 
 def write(folder: Path, result: Result, predictions: Predictions) -> Path:
-    """Writes the predictions, then the record, each whole or not at all; returns the record's path.
+    """Writes truth, card, predictions, then the record, each whole or not at all.
 
-    ``result``'s two prediction fields are filled in here.
+    ``result``'s three fields that name files are filled in here. Returns the record's path.
     """
     folder.mkdir(parents=True, exist_ok=True)
     data = prediction_files.to_bytes(predictions)
     record = asdict(result)
-    record["predictions_file"] = f"{result.run_name}.predictions.npz"
+    record["card"] = cards.write(folder, result.card)
+    if result.test_data.class_names == result.train_data.class_names:
+        record["test_data"]["class_names"] = None
+    record["test_set_sha256"] = testsets.write(folder, predictions)
+    record["predictions_file"] = f"{result.run_name}{PREDICTIONS_SUFFIX}"
     record["predictions_sha256"] = hashlib.sha256(data).hexdigest()
     write_atomically(folder / record["predictions_file"], data)
-    text = {"format": FORMAT, "format_version": FORMAT_VERSION, **record}
-    text["record_sha256"] = record_digest(text)
     path = folder / f"{result.run_name}{SUFFIX}"
-    write_atomically(
-        path, (json.dumps(text, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
-    )
+    write_atomically(path, _as_text({"format": FORMAT, "format_version": FORMAT_VERSION, **record}))
     return path
+
+
+def _as_text(record: dict[str, Any]) -> bytes:
+    """The record and its digest as JSON, one entry a line."""
+    lines = [
+        f"{json.dumps(name)}: {json.dumps(value, ensure_ascii=False, allow_nan=False)}"
+        for name, value in {**record, "record_sha256": record_digest(record)}.items()
+    ]
+    return ("{\n" + ",\n".join(lines) + "\n}\n").encode()
 
 
 def record_digest(record: dict[str, Any]) -> str:
     """SHA-256 of the record without its own digest: a record edited by hand no longer fits."""
-    rest = {k: v for k, v in record.items() if k != "record_sha256"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+    return cards.json_digest({k: v for k, v in record.items() if k != "record_sha256"})
 
 
 def read(path: Path) -> Result:
     """One record.
 
     Raises:
-        InputError: not a record, of a later version, incomplete, or edited since it was written.
+        InputError: not a record, of another format, incomplete, edited since it was written, or
+            with entries that are not what they should be.
     """
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"{path} is not a readable JSON record: {error}") from error
+    record = cards.read_json(path)
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise InputError(f"{path} is not a result record of partialbench eval")
-    if record.get("format_version") not in READABLE:
+    if record.get("format_version") != FORMAT_VERSION:
         raise InputError(
-            f"{path} is a record of format {record.get('format_version')}, this version reads "
-            f"{', '.join(map(str, READABLE))}"
+            f"{path} is a record of format {record.get('format_version')!r}, this version reads "
+            f"{FORMAT_VERSION}; test the run's checkpoint again (eval --checkpoint), or read the "
+            f"record with the release that wrote it"
         )
     names = {f.name for f in fields(Result)}
-    expected = names - older.lacking(record["format_version"]).keys()
     present = set(record) - {"format", "format_version", "record_sha256"}
-    if present != expected:
+    if present != names:
         raise InputError(
-            f"{path}: missing fields {sorted(expected - present)}, unknown "
-            f"{sorted(present - expected)}"
+            f"{path}: missing fields {sorted(names - present)}, unknown {sorted(present - names)}"
         )
     if record.get("record_sha256") != record_digest(record):
         raise InputError(
             f"{path} was changed after it was written: its digest does not fit. Run the "
             f"evaluation again"
         )
+    fault = schema.record_fault(record)
+    if fault:
+        raise InputError(f"{path}: an entry is not what it should be: {fault}")
+    values = {name: record[name] for name in names}
+    values["card"] = cards.load(path.parent, record["card"])
+    train = record["train_data"]
+    classes = record["test_data"]["class_names"] or train["class_names"]
     try:
-        if record["format_version"] < FORMAT_VERSION:
-            record = older.upgraded(record)
-        values = {name: record[name] for name in names}
-        values["train_data"] = DataRecord(**record["train_data"])
-        values["test_data"] = DataRecord(**record["test_data"])
-    except (InputError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: an entry is not what it should be: {error!r}") from error
+        protocols.from_dict(record["protocol"])
+        values["train_data"] = DataRecord(**train)
+        values["test_data"] = DataRecord(**{**record["test_data"], "class_names": classes})
+    except (InputError, TypeError) as error:
+        raise InputError(f"{path}: an entry is not what it should be: {error}") from error
+    if values["train_data"].class_names is None:
+        raise InputError(f"{path}: an entry is not what it should be: train_data has no classes")
     return Result(**values)
 
 
 def read_predictions(folder: Path, result: Result) -> Predictions:
-    """The stored predictions of a record in ``folder``.
+    """The stored predictions of a record in ``folder``, beside the truth it was tested against.
 
     Raises:
-        InputError: missing, or not the file the record was written with.
+        InputError: missing, not the file the record was written with, or not of its test set.
     """
     path = folder / result.predictions_file
     if not path.is_file():
         raise InputError(f"{path} is missing; the record of {result.row} names it")
-    found = hashlib.sha256(path.read_bytes()).hexdigest()
+    data = path.read_bytes()
+    found = hashlib.sha256(data).hexdigest()
     if found != result.predictions_sha256:
         raise InputError(
             f"{path} is not the file its record was written with: SHA-256 {found}, expected "
             f"{result.predictions_sha256}"
         )
-    return prediction_files.load(path)
+    truth = testsets.load(folder, result.test_set_sha256)
+    if truth.class_names.tolist() != result.test_data.class_names:
+        raise InputError(
+            f"{folder / result.run_name}{SUFFIX} names other classes of the test data than their "
+            f"truth, {testsets.path_of(folder, result.test_set_sha256)}"
+        )
+    return prediction_files.from_bytes(data, path, truth, result.train_data.class_names)
 
 
 def read_folder(folder: Path) -> list[Result]:

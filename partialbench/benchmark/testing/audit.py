@@ -51,7 +51,9 @@ def rotation_audit(
     points = torch.from_numpy(dataset.points(rows)).to(device)
 
     def answer(batch: Tensor) -> Tensor:
-        logits = as_prediction(model(batch), len(batch), num_classes).class_logits.double()
+        # A copy: a model may change what it is given.
+        output = model(batch.clone())
+        logits = as_prediction(output, len(batch), num_classes).class_logits.double()
         return logits - logits.mean(dim=1, keepdim=True)
 
     before = answer(points)
@@ -90,16 +92,17 @@ def cost(
     rows = np.arange(min(batch_size, len(dataset)))
     points = torch.from_numpy(dataset.points(rows)).to(device)
     with FlopCounterMode(display=False) as counter:
-        model(points[:1])
+        model(points[:1].clone())
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
 
     def milliseconds(batch: Tensor, repeats: int) -> float:
         times = []
         for _ in range(repeats + 1):
+            given = batch.clone()
             _wait(device)
             start = time.perf_counter()
-            model(batch)
+            model(given)
             _wait(device)
             times.append(1e3 * (time.perf_counter() - start))
         return statistics.median(times[1:])

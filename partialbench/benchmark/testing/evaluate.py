@@ -7,14 +7,21 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-from torch import nn
+from torch import Tensor, nn
 
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
-from partialbench.benchmark.records.predictions import POSE_BINS_KEPT, Predictions
+from partialbench.benchmark.records import testsets
+from partialbench.benchmark.records.predictions import (
+    CLASSES_KEPT,
+    POSE_BINS_KEPT,
+    Predictions,
+    deciding_classes,
+)
 from partialbench.benchmark.testing import duplicates
+from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
+from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
 
 
@@ -33,7 +40,8 @@ def run_model(
 ) -> Iterator[tuple[NDArray[np.int64], Prediction]]:
     """The model's answers for ``rows``, batch by batch, in evaluation mode and full precision.
 
-    Clouds are the first points of the stored order: no randomness, no augmentation, no votes.
+    Clouds are the first points of the stored order: no augmentation, no votes. What a model itself
+    draws is keyed by the batch.
 
     Args:
         given: (M,3,3) poses told to the model, object → camera; by default it has its own.
@@ -42,13 +50,12 @@ def run_model(
     for start in range(0, len(rows), batch_size):
         chosen = rows[start : start + batch_size]
         points = torch.from_numpy(dataset.points(chosen)).to(device)
+        told = {}
+        if given is not None:
+            told["rotation"] = torch.from_numpy(given[start : start + batch_size]).to(device)
         # Not around the yield: a generator must not leave its caller without gradients.
-        with torch.inference_mode():
-            if given is None:
-                output = model(points)
-            else:
-                told = torch.from_numpy(given[start : start + batch_size]).to(device)
-                output = model(points, rotation=told)
+        with torch.inference_mode(), keyed_draws(start, device=device):
+            output = model(points, **told)
         yield chosen, as_prediction(output, len(chosen), num_classes)
 
 
@@ -56,63 +63,87 @@ def predict_rows(
     model: nn.Module,
     dataset: Clouds,
     rows: NDArray[np.int64],
-    num_classes: int,
+    class_names: Sequence[str],
     device: torch.device | str = "cpu",
     batch_size: int = 32,
     train_sources: Sequence[str] = (),
     given: NDArray[np.float32] | None = None,
+    answers_alone: bool = False,
 ) -> Predictions:
     """Predictions for ``rows`` of a test split.
 
+    The clouds are scored in a fixed shuffled order, so that no batch is of one class, and the model
+    is afterwards what it was.
+
     Args:
-        num_classes: of the model, which may have been trained on other classes than ``dataset``'s.
+        class_names: of the model, which may have been trained on other classes than ``dataset``'s.
         train_sources: ``duplicates.source_keys`` of the training data.
-        given: see ``run_model``.
+        given: see ``run_model``; in the order of ``rows``.
+        answers_alone: keep the answer and its confidence, and the best pose, as of a test under
+            another condition than trained on.
 
     Raises:
         NotFiniteError: an answer with NaN or infinity.
     """
     if len(rows) == 0:
         raise ValueError("there is nothing to evaluate: no rows")
-    predicted, logs, bins, scores, classes = [], [], [], [], []
-    answers = run_model(model, dataset, rows, num_classes, device, batch_size, given)
-    for chosen, prediction in answers:
-        logits = prediction.class_logits.double()
-        if not bool(torch.isfinite(logits).all()):
-            bad = int((~torch.isfinite(logits)).any(dim=1).sum())
-            raise NotFiniteError(
-                f"{bad} of {len(chosen)} clouds (rows {chosen[0]} to {chosen[-1]}) got class "
-                f"logits that are not finite; the model is broken or its weights are"
-            )
-        predicted.append(logits.argmax(dim=1).cpu())
-        logs.append(logits.log_softmax(dim=1).cpu())
-        if prediction.pose_logits is not None:
-            order = prediction.pose_logits.argsort(dim=1, descending=True, stable=True)
-            bins.append(order[:, :POSE_BINS_KEPT].cpu())
-        if prediction.candidates is not None:
-            scores.append(prediction.candidates[0][:, :POSE_BINS_KEPT].float().cpu())
-            classes.append(prediction.candidates[1][:, :POSE_BINS_KEPT].cpu())
-    # float16 ends at −65504; beyond that a probability is zero anyway.
-    log_probabilities = torch.cat(logs).clamp(min=-60_000).numpy().astype(np.float16)
-    nothing = np.zeros((len(rows), 0))
-    pose_bins, logits_under_poses, classes_under_poses = (
-        torch.cat(found).numpy() if found else nothing for found in (bins, scores, classes)
-    )
+    order = generator(0, "test order").permutation(len(rows))
+    told = None if given is None else given[order]
+    known = _shared(class_names, dataset.class_names)
+    parts: list[dict[str, Tensor]] = []
+    with unchanged(model):
+        answers = run_model(model, dataset, rows[order], len(class_names), device, batch_size, told)
+        for chosen, prediction in answers:
+            _require_finite(prediction.class_logits, chosen)
+            parts.append(_kept(prediction, known, answers_alone))
+    back = np.argsort(order)
+    kept = {name: torch.cat([part[name] for part in parts]).numpy()[back] for name in parts[0]}
     return Predictions(
-        rows=rows.astype(np.int32),
-        labels=dataset.labels[rows].astype(np.int16),
-        predicted=torch.cat(predicted).numpy().astype(np.int16),
-        log_probabilities=log_probabilities,
-        pose_bins=pose_bins.astype(np.uint8),
-        candidate_logits=logits_under_poses.astype(np.float32),
-        candidate_classes=classes_under_poses.astype(np.int16),
-        quaternions=Rotation.from_matrix(dataset.rotations[rows]).as_quat().astype(np.float32),
-        symmetries=dataset.symmetries[rows],
-        object_ids=dataset.object_ids[rows],
-        views=dataset.views[rows].astype(np.int32),
-        visible_fraction=dataset.visible_fraction[rows].astype(np.float32),
+        **vars(testsets.of(dataset, rows)),
+        **kept,
         duplicate=duplicates.among(dataset.source_digests[rows], list(train_sources)),
     )
+
+
+def _shared(model_classes: Sequence[str], test_classes: Sequence[str]) -> Tensor | None:
+    """(K,) which of the model's classes the test data have too; None where they are the same."""
+    if list(model_classes) == list(test_classes):
+        return None
+    return torch.tensor([name in test_classes for name in model_classes])
+
+
+def _require_finite(logits: Tensor, rows: NDArray[np.int64]) -> None:
+    finite = torch.isfinite(logits).all(dim=1)
+    if not bool(finite.all()):
+        raise NotFiniteError(
+            f"{int((~finite).sum())} of {len(rows)} clouds (rows {rows.min()} to {rows.max()}) got "
+            f"class logits that are not finite; the model is broken or its weights are"
+        )
+
+
+def _kept(prediction: Prediction, shared: Tensor | None, answers_alone: bool) -> dict[str, Tensor]:
+    """What ``Predictions`` has of a batch's answers."""
+    logits = prediction.class_logits.double().cpu()
+    logs, classes = logits.log_softmax(dim=1).sort(dim=1, descending=True, stable=True)
+    nothing = torch.zeros((len(logits), 0))
+    best_shared, bins, decided = nothing, nothing, nothing
+    if shared is not None:
+        first = shared[classes].to(torch.uint8).argmax(dim=1, keepdim=True)
+        best_shared = classes.gather(1, first)
+    if prediction.pose_logits is not None:
+        bins = prediction.pose_logits.argsort(dim=1, descending=True, stable=True).cpu()
+    if prediction.candidates is not None and not answers_alone:
+        found = [part[:, :POSE_BINS_KEPT].cpu().numpy() for part in prediction.candidates]
+        decided = torch.from_numpy(deciding_classes(*found))
+    kept = 1 if answers_alone else CLASSES_KEPT
+    return {
+        "classes": classes[:, :kept].to(torch.int16),
+        # float16 ends at −65504; beyond that a probability is zero anyway.
+        "log_probabilities": logs[:, :kept].clamp(min=-60_000).to(torch.float16),
+        "shared": best_shared.to(torch.int16),
+        "pose_bins": bins[:, : 1 if answers_alone else POSE_BINS_KEPT].to(torch.uint8),
+        "decided": decided.to(torch.int16),
+    }
 
 
 def quick_accuracy(
@@ -122,7 +153,8 @@ def quick_accuracy(
     if len(rows) == 0:
         return None
     hits = 0
-    for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
-        answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
-        hits += int((answer == dataset.labels[chosen]).sum())
+    with unchanged(model):
+        for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
+            answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
+            hits += int((answer == dataset.labels[chosen]).sum())
     return hits / len(rows)

@@ -96,7 +96,7 @@ def best_pose_errors_deg(predictions: Predictions) -> NDArray[np.float64]:
 
 
 def pose_hits(predictions: Predictions) -> NDArray[np.bool_]:
-    """(M,20): column k − 1 says whether a cloud's ``true_pose_bins`` is among the k best."""
+    """(M,20), or as many as are stored: column k − 1 says whether a cloud's ``true_pose_bins`` is among the k best."""
     true = true_pose_bins(predictions.rotations, predictions.symmetries)
     return np.logical_or.accumulate(predictions.pose_bins == true[:, None], axis=1)
 
@@ -122,29 +122,18 @@ def pose_scores(predictions: Predictions) -> dict[str, Any] | None:
     }
 
 
-def ensemble_correct(logits: NDArray, classes: NDArray, labels: NDArray) -> NDArray[np.bool_]:
-    """(M,k): column k − 1 says whether a cloud is right when its k best poses decide.
+def ensemble_accuracy(decided: NDArray, labels: NDArray) -> list[float] | None:
+    """For k = 1, 2, …: the share of clouds that are right when their k best poses decide.
 
     Args:
-        logits, classes: (M,k) the highest class logit under each pose, best pose first, and its
-            class.
-        labels: (M,).
+        decided: (M,k), see ``Predictions``. labels: (M,).
 
-    Source: Xu et al., "Ensemble strategy", as TerenceHsu666/PAPNet@878adcc does it: raw logits are
-    compared, and of equal ones the more confident pose decides.
+    Returns:
+        None for a model that does not decide over poses.
     """
-    right = np.zeros(logits.shape, bool)
-    for k in range(1, logits.shape[1] + 1):
-        decides = logits[:, :k].argmax(axis=1)
-        right[:, k - 1] = np.take_along_axis(classes, decides[:, None], axis=1)[:, 0] == labels
-    return right
-
-
-def ensemble_accuracy(logits: NDArray, classes: NDArray, labels: NDArray) -> list[float] | None:
-    """For k = 1, 2, …: the share of ``ensemble_correct``; None for a model without candidates."""
-    if logits.shape[1] == 0:
+    if decided.shape[1] == 0:
         return None
-    return [float(share) for share in ensemble_correct(logits, classes, labels).mean(axis=0)]
+    return [float(share) for share in (decided == labels[:, None]).mean(axis=0)]
 
 
 def visibility_bins(
@@ -203,12 +192,8 @@ def scores(
     names = list(model_classes)
     p, label = shared_clouds(predictions, names, test_classes)
     predicted = p.predicted.astype(np.int64)
-    shared = np.isin(names, test_classes)
-    probable = p.log_probabilities.astype(np.float64)
-    confidence = np.exp(np.take_along_axis(probable, predicted[:, None], axis=1)[:, 0])
-    restricted = np.where(shared, probable, -np.inf).argmax(axis=1)
-    # Where nothing is excluded, keep the model's own argmax: rounding may have made ties.
-    restricted = np.where(shared[predicted], predicted, restricted)
+    confidence = np.exp(p.log_probabilities[:, 0].astype(np.float64))
+    restricted = p.shared[:, 0].astype(np.int64) if p.shared.shape[1] else predicted
     per_class = per_class_accuracy(label, predicted, len(names))
     own = ~p.duplicate
     alone = (label[own], predicted[own])
@@ -228,7 +213,7 @@ def scores(
         "calibration_error": calibration_error(confidence.clip(max=1), predicted == label),
         "visibility": by_visibility(predicted == label, p.visible_fraction),
         "pose": pose_scores(p),
-        "ensemble": ensemble_accuracy(p.candidate_logits, p.candidate_classes, label),
+        "ensemble": ensemble_accuracy(p.decided, label),
     }
 
 

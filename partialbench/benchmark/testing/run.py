@@ -19,7 +19,14 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.split import balanced_subset
 from partialbench.benchmark.records import origin, results
 from partialbench.benchmark.records.results import DataRecord, Result
-from partialbench.benchmark.testing import audit, evaluate, given_pose, metrics
+from partialbench.benchmark.testing import (
+    audit,
+    company,
+    evaluate,
+    given_pose,
+    isolation,
+    metrics,
+)
 from partialbench.registry import ModelCard, Recipe
 
 log = logging.getLogger(__name__)
@@ -38,22 +45,40 @@ def run_tests(
     Poses are given with clouds of the size trained on alone: a test under two conditions lies on no
     curve. Cost and audit are measured once for each test set, without a pose.
     """
-    device, num_classes = fabric.device, len(content["class_names"])
+    device, classes = fabric.device, len(content["class_names"])
     model = model.to(device)
     written = []
     for test_set in test_sets:
         # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
         most = content["protocol"]["max_test_clouds"] or len(test_set)
-        measured = (
-            audit.cost(model, test_set, device, min(audit.COST_BATCH, most)),
-            audit.rotation_audit(
-                model, test_set, num_classes, device, min(audit.AUDIT_CLOUDS, most)
-            ),
-        )
+        with isolation.unchanged(model):
+            cost = audit.cost(model, test_set, device, min(audit.COST_BATCH, most))
+        with isolation.unchanged(model), isolation.keyed_draws("rotation audit", device=device):
+            turned = audit.rotation_audit(
+                model, test_set, classes, device, min(audit.AUDIT_CLOUDS, most)
+            )
+        found = company.company_audit(model, test_set, classes, device, min(company.COMPANY, most))
+        _tell(content["model"], found)
+        measured = {"cost": cost, "rotation_audit": turned, "company_audit": found}
         poses = test_poses if test_set.num_points == content["num_points"] else ()
         for pose in ("", *poses):
-            written.append(_test(content, model, test_set, pose, fabric, folder, *measured))
+            written.append(_test(content, model, test_set, pose, fabric, folder, measured))
     return written
+
+
+def _tell(name: str, found: Mapping[str, Any]) -> None:
+    """Says what of a company audit keeps a model from a row, or is odd about it."""
+    if found["drift"] > results.INDEPENDENT:
+        log.warning(
+            "the answers of %s depend on the clouds that are scored beside one (its logits move by "
+            "%.1f %% of their size): its record stands apart and is no row of the board",
+            name, 100 * found["drift"],
+        )  # fmt: skip
+    if found["changed_buffers"]:
+        log.warning(
+            "scoring clouds changes %s of %s; each test begins from what was trained",
+            ", ".join(found["changed_buffers"][:5]), name,
+        )  # fmt: skip
 
 
 def _test(
@@ -63,23 +88,18 @@ def _test(
     pose: str,
     fabric: Fabric,
     folder: Path,
-    cost: dict[str, Any],
-    rotation_audit: dict[str, Any],
+    measured: dict[str, dict[str, Any]],
 ) -> Result:
     """Tests on one test split and writes the record; returns it as its file has it."""
     protocol = protocols.from_dict(content["protocol"])
     card = models.card_of(content["model"])
     recipe, train_data = content["recipe"], DataRecord(**content["train_data"])
     rows = balanced_subset(np.arange(len(test_set)), test_set.labels, protocol.max_test_clouds)
-    predictions = evaluate.predict_rows(
-        model, test_set, rows, len(train_data.class_names), fabric.device,
-        train_sources=content["train_sources"],
-        given=given_pose.rotations(pose, test_set, rows) if pose else None,
-    )  # fmt: skip
     result = Result(
         model=card.name,
         variant=content["variant"],
         model_code=content["model_code"],
+        weights_sha256=isolation.weights_digest(model),
         options=dict(content["options"]),
         card=_card_as_dict(card),
         recipe=recipe,
@@ -94,16 +114,24 @@ def _test(
         train_data=train_data,
         test_data=results.describe_data(test_set, rows),
         seed=content["seed"],
+        clouds=content["clouds"],
         given_pose=pose,
         training=content["summary"],
-        cost=cost,
-        rotation_audit=rotation_audit,
+        **measured,
         environment=environment.describe(fabric.device),
+        test_set_sha256="",
         predictions_file="",
         predictions_sha256="",
-        scores=metrics.scores(predictions, train_data.class_names, test_set.class_names),
+        scores={},
     )
-    path = results.write(folder, result, predictions)
+    predictions = evaluate.predict_rows(
+        model, test_set, rows, train_data.class_names, fabric.device,
+        train_sources=content["train_sources"],
+        given=given_pose.rotations(pose, test_set, rows) if pose else None,
+        answers_alone=bool(result.conditions),
+    )  # fmt: skip
+    scores = metrics.scores(predictions, train_data.class_names, test_set.class_names)
+    path = results.write(folder, dataclasses.replace(result, scores=scores), predictions)
     log.info("wrote %s", path)
     return results.read(path)
 
