@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from leaderboard import curves, figures, gallery, given, latex, page, tables
 from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
-from leaderboard.check import problems
+from leaderboard.check import against_data, problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
 from leaderboard.poses import pose_layouts
 from leaderboard.settings import setting_layouts
 from leaderboard.tuning import tuning_layouts
-from partialbench.benchmark.records import results
+from partialbench.benchmark.records import results, testsets
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
@@ -43,11 +45,11 @@ def build_leaderboard(
             nothing is written.
     """
     folder, out = Path(results_folder), Path(out)
-    wrong = problems(folder, recompute=check)
-    if wrong:
-        raise InputError(
-            f"{len(wrong)} thing(s) wrong with the records in {folder}:\n  " + "\n  ".join(wrong)
-        )
+    _require_none(problems(folder, recompute=check), folder)
+    test_sets = [gallery.open_test_split(Path(each)) for each in data]
+    if check:
+        whole = [(each.digest, testsets.of(each, np.arange(len(each)))) for each in test_sets]
+        _require_none(against_data(folder, whole), folder)
     records = results.read_folder(folder)
     if not records:
         raise InputError(
@@ -61,7 +63,6 @@ def build_leaderboard(
             f"another sensor, a given pose); each needs its model's own test beside it, with --data"
         )
     comparisons = [compare(column, folder) for column in board]
-    test_sets = [gallery.open_test_split(Path(each)) for each in data]
     families = curves.find_families(board, records, folder)
     given_poses = given.find_given_poses(board, records, folder)
     drawn = figures.draw_all(board, comparisons, families, given_poses, folder)
@@ -94,3 +95,10 @@ def build_leaderboard(
     for name, content in contents.items():
         write_atomically(out / name, content)
     return [out / name for name in contents]
+
+
+def _require_none(wrong: list[str], folder: Path) -> None:
+    if wrong:
+        raise InputError(
+            f"{len(wrong)} thing(s) wrong with the records in {folder}:\n  " + "\n  ".join(wrong)
+        )

@@ -2,89 +2,193 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-from partialbench.benchmark.records import results
-from partialbench.benchmark.records.results import SUFFIX, Result
+import numpy as np
+
+from leaderboard import consistency
+from partialbench.benchmark.records import results, testsets
+from partialbench.benchmark.records.results import PREDICTIONS_SUFFIX, SUFFIX, Result
+from partialbench.benchmark.records.testsets import GroundTruth
 from partialbench.benchmark.records.trials import FILE, read_trials
-from partialbench.benchmark.testing import metrics
 from partialbench.errors import InputError
+
+Found = dict[Path, Result]
+"""The readable records of a folder, by path."""
 
 
 def problems(folder: Path, recompute: bool = True) -> list[str]:
     """One sentence for each thing that is wrong with the records of ``folder``; empty when sound.
 
-    Found are: records that are unreadable, incomplete or edited after they were written; prediction
-    files that are missing or not their record's; two records of one run; seeds of one row that two
-    versions of a user's model file made; prediction files that belong to no record; a
-    ``tuning.csv`` that is not one; and, with ``recompute``, scores that the stored predictions do
-    not give.
+    Found are: records that are unreadable, incomplete, of another format or edited after they were
+    written; entries that contradict each other (the protocol and its digest, epochs, steps and
+    clouds seen, options and the row's name), the record's test set or another record of the same
+    row or test data; prediction and test set files that are missing, damaged or not their record's,
+    or that no model can have given; two records of one run; prediction files that belong to no
+    record; a ``tuning.csv`` that is not one. With ``recompute`` also: scores that the stored
+    predictions do not give, and cards and numbers of parameters that the registry does not have.
     """
     if not folder.is_dir():
         return [f"no results folder at {folder}"]
-    found: list[str] = []
-    seen: dict[tuple[object, ...], Path] = {}
-    codes: dict[tuple[object, ...], tuple[str, Path]] = {}
+    wrong: list[str] = []
+    found: Found = {}
     named: set[str] = set()
     for path in sorted(folder.glob(f"*{SUFFIX}")):
+        # Where it cannot be read, its predictions are not to be called orphans because of that.
+        named.add(path.name.removesuffix(SUFFIX) + PREDICTIONS_SUFFIX)
         try:
             result = results.read(path)
         except InputError as error:
-            found.append(str(error))
-            # Its predictions are not to be called orphans because of that.
-            named.add(path.name.removesuffix(SUFFIX) + ".predictions.npz")
+            wrong.append(str(error))
             continue
         named.add(result.predictions_file)
-        if result.identity in seen:
-            found.append(results.duplicate_message(path, seen[result.identity], result))
-        seen.setdefault(result.identity, path)
-        code, other = codes.setdefault((result.row, *result.column), (result.model_code, path))
-        if code != result.model_code:
-            found.append(
-                f"{path} and {other} are seeds of one row, {result.row}, but the model's file was "
-                f"another (SHA-256 {result.model_code[:12]}, {code[:12]}); train both with one, or "
-                f"give the other a name of its own"
-            )
-        found += _predictions_problems(folder, path, result, recompute)
-    found += [
+        found[path] = result
+        wrong += [f"{path}: {fault}" for fault in consistency.own_faults(result)]
+        try:
+            wrong += [f"{path}: {fault}" for fault in consistency.truth_faults(folder, result)]
+            faults = consistency.score_faults(folder, result) if recompute else ()
+            if not recompute:
+                results.read_predictions(folder, result)
+            wrong += [f"{path}: {fault}" for fault in faults]
+        except InputError as error:
+            wrong.append(str(error))
+        if recompute:
+            wrong += [f"{path}: {fault}" for fault in consistency.registry_faults(result)]
+    wrong += [*_same_runs(found), *_unlike_seeds(found), *_weights(found)]
+    wrong += _truths(folder, found)
+    wrong += [
         f"{path} belongs to no record; delete it"
-        for path in sorted(folder.glob("*.predictions.npz"))
+        for path in sorted(folder.glob(f"*{PREDICTIONS_SUFFIX}"))
         if path.name not in named
     ]
     try:
         read_trials(folder / FILE)
     except InputError as error:
-        found.append(str(error))
-    return found
+        wrong.append(str(error))
+    return wrong
 
 
-def _same(ours: Any, recorded: Any) -> bool:
-    """Equal scores, numbers to rounding: another processor sums in another order."""
-    if isinstance(ours, dict) and isinstance(recorded, dict):
-        return ours.keys() == recorded.keys() and all(_same(ours[k], recorded[k]) for k in ours)
-    if isinstance(ours, list) and isinstance(recorded, list):
-        return len(ours) == len(recorded) and all(map(_same, ours, recorded))
-    if isinstance(ours, float) and isinstance(recorded, float):
-        return math.isclose(ours, recorded, rel_tol=1e-9, abs_tol=1e-12)
-    return ours == recorded
+def _same_runs(found: Found) -> Iterator[str]:
+    seen: dict[tuple[object, ...], Path] = {}
+    for path, result in found.items():
+        other = seen.setdefault(result.identity, path)
+        if other != path:
+            yield results.duplicate_message(path, other, result)
 
 
-def _predictions_problems(folder: Path, path: Path, result: Result, recompute: bool) -> list[str]:
-    try:
-        predictions = results.read_predictions(folder, result)
-    except InputError as error:
-        return [str(error)]
-    if not recompute:
-        return []
-    scores = metrics.scores(
-        predictions, result.train_data.class_names, result.test_data.class_names
-    )
-    wrong = [name for name in scores if not _same(scores[name], result.scores.get(name))]
-    if not wrong:
-        return []
+def _unlike_seeds(found: Found) -> Iterator[str]:
+    """Seeds of one row are trainings of one thing."""
+    first: dict[tuple[object, ...], tuple[Path, Result]] = {}
+    for path, result in found.items():
+        other, before = first.setdefault((result.row, *result.column), (path, result))
+        if before.model_code != result.model_code:
+            yield (
+                f"{path} and {other} are seeds of one row, {result.row}, but the model's file was "
+                f"another (SHA-256 {result.model_code[:12]}, {before.model_code[:12]}); train both "
+                f"with one, or give the other a name of its own"
+            )
+        unlike = [
+            f"{name} ({now!r}, {then!r})"
+            for name, now, then in (
+                ("options", result.options, before.options),
+                ("recipe", result.recipe, before.recipe),
+                ("parameters", result.cost["parameters"], before.cost["parameters"]),
+                ("training clouds", result.train_data.clouds, before.train_data.clouds),
+            )
+            if now != then
+        ]
+        if unlike:
+            yield (
+                f"{path} and {other} are seeds of one row, {result.row}, but differ in "
+                f"{', '.join(unlike)}; train both alike"
+            )
+
+
+def _weights(found: Found) -> Iterator[str]:
+    """One training is tested with one set of weights, and two trainings end with two."""
+    tested: dict[tuple[object, ...], tuple[Path, str]] = {}
+    seeds: dict[tuple[object, ...], tuple[Path, int]] = {}
+    for path, result in found.items():
+        train, weights = result.train_data, result.weights_sha256
+        row = (
+            result.row, train.id, train.setting, train.digest, result.protocol_digest,
+            result.clouds,
+        )  # fmt: skip
+        other, before = tested.setdefault((*row, result.seed), (path, weights))
+        if before != weights:
+            yield (
+                f"{path} and {other} are tests of one training, {result.row}, seed {result.seed}, "
+                f"but of other weights (SHA-256 {weights[:12]}, {before[:12]}); test the same "
+                f"checkpoint on both"
+            )
+        other, seed = seeds.setdefault((*row, weights), (path, result.seed))
+        if seed != result.seed and result.cost["parameters"]:
+            yield (
+                f"{path} and {other} have the same weights under the seeds {result.seed} and "
+                f"{seed}: one training counts once"
+            )
+
+
+def _truths(folder: Path, found: Found) -> Iterator[str]:
+    """What is true of a test cloud is so in every record of that test split."""
+    known: dict[str, list[tuple[str, Path, GroundTruth]]] = {}
+    for path, result in found.items():
+        try:
+            truth = testsets.load(folder, result.test_set_sha256)
+        except InputError:  # told already
+            continue
+        others = known.setdefault(result.test_data.digest, [])
+        if any(digest == result.test_set_sha256 for digest, _, _ in others):
+            continue
+        for _, other, before in others:
+            unlike = _unlike(truth, before)
+            if unlike:
+                yield (
+                    f"{path} and {other} were tested on one test split "
+                    f"({result.test_data.digest[:12]}) but were held against other "
+                    f"{', '.join(unlike)} of its clouds; test again what does not fit the data "
+                    f"(the board's --data tells which)"
+                )
+        others.append((result.test_set_sha256, path, truth))
+
+
+def against_data(folder: Path, truth_of: Sequence[tuple[str, GroundTruth]]) -> list[str]:
+    """A sentence for each test set of the folder that is not what the data say.
+
+    Args:
+        truth_of: (digest, truth) of whole test splits.
+    """
+    wrong = []
+    told: set[tuple[str, str]] = set()
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        result = results.read(path)
+        for digest, whole in truth_of:
+            key = digest, result.test_set_sha256
+            if result.test_data.digest != digest or key in told:
+                continue
+            told.add(key)
+            truth = testsets.load(folder, result.test_set_sha256)
+            unlike = _unlike(truth, whole)
+            if not np.isin(truth.rows, whole.rows).all():
+                unlike.append("rows")
+            if unlike:
+                wrong.append(
+                    f"{path} was held against other {', '.join(unlike)} than its data have "
+                    f"({digest[:12]}); test its checkpoint again"
+                )
+    return wrong
+
+
+def _unlike(one: GroundTruth, other: GroundTruth) -> list[str]:
+    """In what two truths differ about the rows that both have."""
+    _, here, there = np.intersect1d(one.rows, other.rows, return_indices=True)
     return [
-        f"{path}: the stored predictions give another {', '.join(wrong)} than the record says "
-        f"(accuracy {scores['accuracy']:.4f}, recorded {result.scores.get('accuracy')})"
+        name
+        for name, values in one.truth_arrays.items()
+        if not (
+            np.array_equal(values, other.truth_arrays[name])
+            if name == "class_names"
+            else np.array_equal(values[here], other.truth_arrays[name][there])
+        )
     ]

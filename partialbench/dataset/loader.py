@@ -6,6 +6,7 @@ a map survives a fork, is reopened after a spawn, and costs a memory copy per ro
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset import manifest as manifests
-from partialbench.dataset.shards import open_shard
+from partialbench.dataset.shards import content_digest, file_sha256, open_shard
 from partialbench.errors import InputError
 
 _SMALL = (
@@ -22,6 +23,7 @@ _SMALL = (
     "n_visible", "symmetry",
 )  # fmt: skip
 _SOURCE = "source_sha256"
+_ROW_DIGEST = "row_sha256"
 
 
 class ShardDataset:
@@ -45,7 +47,8 @@ class ShardDataset:
         manifest: the whole ``Manifest``.
 
     Raises:
-        InputError: no such folder or split, an unfinished folder, more points than stored.
+        InputError: no such folder or split, an unfinished folder, more points than stored, or a
+            shard whose bytes are not those its manifest lists.
     """
 
     def __init__(self, folder: Path | str, split: str, num_points: int = 1024) -> None:
@@ -73,6 +76,11 @@ class ShardDataset:
                 f"choose 1 to {stored} or render with --points {num_points}"
             )
         columns, self._layout = _read_small_and_layout(self.folder, entries)
+        if content_digest([columns[_ROW_DIGEST]]) != self.digest:
+            raise InputError(
+                f"{folder}: the rows of split {split!r} do not have the digest its manifest claims "
+                f"({self.digest[:12]}); 'partialbench verify {folder}' tells what differs"
+            )
         self._first_row = np.cumsum([0, *(rows for _, _, rows in self._layout)])
         self.labels = columns["label"].astype(np.int64)
         self.object_ids = np.char.decode(columns["object_id"], "utf-8")
@@ -147,7 +155,7 @@ def _read_small_and_layout(
     folder: Path, entries: list[manifests.ShardEntry]
 ) -> tuple[dict[str, NDArray], list[tuple[Path, int, int]]]:
     """Every small column joined over shards, and (path, byte offset of points, rows) of each."""
-    parts: dict[str, list[NDArray]] = {name: [] for name in (*_SMALL, _SOURCE)}
+    parts: dict[str, list[NDArray]] = {name: [] for name in (*_SMALL, _ROW_DIGEST, _SOURCE)}
     layout = []
     for entry in entries:
         if entry.rows == 0:
@@ -160,8 +168,9 @@ def _read_small_and_layout(
                 f"{path} has {path.stat().st_size} bytes, the manifest says {entry.bytes}; "
                 f"'partialbench verify {folder}' tells what is damaged"
             )
+        _require_unchanged(folder, path, entry.sha256)
         with open_shard(path) as file:
-            for name in _SMALL:
+            for name in (*_SMALL, _ROW_DIGEST):
                 parts[name].append(file[name][()])
             parts[_SOURCE].append(_source_of_rows(file, parts["object_id"][-1]))
             offset = file["points"].id.get_offset()
@@ -171,6 +180,24 @@ def _read_small_and_layout(
     if not layout:
         raise InputError(f"{folder}: the split has no rows; see its failures.jsonl")
     return {name: np.concatenate(values) for name, values in parts.items()}, layout
+
+
+def _require_unchanged(folder: Path, path: Path, expected: str) -> None:
+    """Holds a shard against its manifest: what is trained and tested on is what a digest names."""
+    status = path.stat()
+    found = _file_digest(path.absolute(), status.st_mtime_ns, status.st_size)
+    if found != expected:
+        raise InputError(
+            f"{path} is not the file its manifest lists (SHA-256 {found[:12]}, expected "
+            f"{expected[:12]}): it was changed after it was rendered, or is damaged. 'partialbench "
+            f"verify {folder}' tells what differs; delete the shard and run the render again"
+        )
+
+
+@functools.lru_cache(maxsize=4096)
+def _file_digest(path: Path, _mtime: int, _size: int) -> str:
+    """Once a process for a file as it is."""
+    return file_sha256(path)
 
 
 def _source_of_rows(file: h5py.File, object_ids: NDArray) -> NDArray:

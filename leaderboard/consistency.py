@@ -1,0 +1,149 @@
+"""Whether one record agrees with itself, with its test set and with the registry."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from partialbench import registry
+from partialbench.benchmark import models
+from partialbench.benchmark.protocol import protocol as protocols
+from partialbench.benchmark.records import results, testsets
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.testing import metrics
+from partialbench.errors import InputError
+
+PRINTED = ("title", "paper", "paper_scores", "representation", "invariances", "parameters")
+"""What of a card the board sets beside others' figures; its prose may have been mended since."""
+
+
+def own_faults(result: Result) -> Iterator[str]:
+    """What a record says that cannot be true, by itself."""
+    digest = protocols.from_dict(result.protocol).digest
+    if digest != result.protocol_digest:
+        yield (
+            f"its protocol has the digest {digest[:12]}, it claims {result.protocol_digest[:12]}: "
+            f"the column it stands in is another's"
+        )
+    training, asked = result.training, result.protocol.get("epochs")
+    if asked is not None and training["epochs"] != asked:
+        yield f"{training['epochs']} epochs were trained, the protocol has {asked}"
+    batch = min(result.recipe["batch_size"], result.train_data.clouds)
+    seen = training["clouds_seen"]
+    if seen != training["steps"] * batch:
+        yield (
+            f"{training['steps']} steps of {batch} clouds are {training['steps'] * batch:,} clouds "
+            f"seen, it says {seen:,}"
+        )
+    if result.clouds and abs(seen - result.clouds) > batch:
+        yield f"it stands at the milestone {result.clouds:,} and has seen {seen:,} clouds"
+    unnamed = [name for name in result.options if f"{name}=" not in result.variant]
+    if unnamed:
+        yield f"its row does not name the option(s) {', '.join(unnamed)} it was made with"
+
+
+def truth_faults(folder: Path, result: Result) -> Iterator[str]:
+    """What of a record its test set contradicts.
+
+    Raises:
+        InputError: the truth of its test set is missing or damaged.
+    """
+    truth = testsets.load(folder, result.test_set_sha256)
+    counted = len(truth), len(np.unique(truth.object_ids))
+    told = result.test_data.clouds, result.test_data.objects
+    if counted != told:
+        yield (
+            f"it tells of {told[0]:,} test clouds of {told[1]:,} objects, its test set has "
+            f"{counted[0]:,} of {counted[1]:,}"
+        )
+
+
+def score_faults(folder: Path, result: Result) -> Iterator[str]:
+    """The recorded scores that the stored predictions do not give.
+
+    Raises:
+        InputError: the predictions or their truth are missing or damaged.
+    """
+    predictions = results.read_predictions(folder, result)
+    try:
+        scores = metrics.scores(
+            predictions, result.train_data.class_names, result.test_data.class_names
+        )
+    except ValueError as error:
+        yield f"its predictions give no scores: {error}"
+        return
+    # As JSON has it, where a tuple is a list.
+    scores = json.loads(json.dumps(scores))
+    wrong = [name for name in scores if not _same(scores[name], result.scores.get(name))]
+    wrong += sorted(result.scores.keys() - scores.keys())
+    if wrong:
+        yield (
+            f"the stored predictions give another {', '.join(wrong)} than the record says "
+            f"(accuracy {scores['accuracy']:.4f}, recorded {result.scores['accuracy']})"
+        )
+
+
+def registry_faults(result: Result) -> Iterator[str]:
+    """What a record says of a registered model that the registry does not.
+
+    A user's own model has a card without claims, whatever its record says.
+    """
+    release = result.environment["packages"].get("partialbench", "unknown")
+    made = f"it was made by release {release}"
+    try:
+        card = models.card_of(result.model)
+    except InputError as error:
+        yield f"{error}; {made}"
+        return
+    ours, told = _as_told(card), result.card
+    other = [name for name in PRINTED if told.get(name) != ours[name]]
+    if other:
+        yield (
+            f"its card has another {', '.join(other)} than the registry's; {made}: test its "
+            f"checkpoint again, or make the board with that release"
+        )
+    if ":" in result.model:
+        return
+    count = _parameters(result.model, len(result.train_data.class_names), result.options)
+    if count is not None and count != result.cost["parameters"]:
+        yield (
+            f"{result.row} has {count:,} parameters, it says {result.cost['parameters']:,}; {made}"
+        )
+
+
+def _as_told(card: registry.ModelCard) -> dict[str, Any]:
+    """A card's printed entries as JSON has them."""
+    fields = {f.name: getattr(card, f.name) for f in dataclasses.fields(card)}
+    fields["invariances"] = sorted(card.invariances)
+    return json.loads(json.dumps({name: fields[name] for name in PRINTED}))
+
+
+_counts: dict[str, int | None] = {}
+
+
+def _parameters(name: str, num_classes: int, options: dict[str, Any]) -> int | None:
+    """Counted on a fresh model, once for each; None where its options are no longer known."""
+    key = json.dumps([name, num_classes, options], sort_keys=True)
+    if key not in _counts:
+        try:
+            _counts[key] = models.num_parameters(models.create(name, num_classes, options))
+        except InputError:
+            _counts[key] = None
+    return _counts[key]
+
+
+def _same(ours: Any, recorded: Any) -> bool:
+    """Equal scores, numbers to rounding: another processor sums in another order."""
+    if isinstance(ours, dict) and isinstance(recorded, dict):
+        return ours.keys() == recorded.keys() and all(_same(ours[k], recorded[k]) for k in ours)
+    if isinstance(ours, list) and isinstance(recorded, list):
+        return len(ours) == len(recorded) and all(map(_same, ours, recorded))
+    if isinstance(ours, float) and isinstance(recorded, float):
+        return math.isclose(ours, recorded, rel_tol=1e-9, abs_tol=1e-12)
+    return ours == recorded
