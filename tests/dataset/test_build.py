@@ -42,6 +42,27 @@ def test_any_number_of_workers_gives_the_same_bytes(tmp_path, reference, workers
     assert contents(tmp_path) == reference
 
 
+def test_so_it_does_with_all_that_rows_may_hold_and_after_a_loss(tmp_path):
+    """Normals and depth images; then a shard, and the table of objects, are lost and made anew."""
+    full = ToyOccluder(normals=True, depth=20)
+    build(plan(tmp_path / "inline", occluder=full), InlineExecutor)
+    expected = contents(tmp_path / "inline")
+    out = tmp_path / "pool"
+    build(plan(out, occluder=full), workers=2)
+    assert contents(out) == expected
+    (out / "train-00001.h5").unlink()
+    build(plan(out, occluder=full), InlineExecutor)
+    assert contents(out) == expected
+    lines = (out / "objects.jsonl").read_text().splitlines(keepends=True)
+    (out / "objects.jsonl").write_text("".join(lines[1:]))
+    (out / "train-00000.h5").write_bytes(b"made anew with its lines")
+    build(plan(out, occluder=full), InlineExecutor)
+    assert contents(out) == expected
+    (out / "objects.jsonl").write_text("{")
+    build(plan(out, occluder=full), InlineExecutor)
+    assert contents(out) == expected
+
+
 def test_another_shard_size_gives_the_same_rows(tmp_path, reference):
     manifest = build(plan(tmp_path, rows_per_shard=15), InlineExecutor)
     assert manifest.digests == json.loads(reference["manifest.json"])["digests"]
