@@ -89,6 +89,7 @@ def import_release(folder: str | PathLike[str], out: str | PathLike[str]) -> Man
         views=dict.fromkeys(SPLITS, 1),
         points=source.points_per_row,
         seed=0,
+        min_visible=1,  # as released, whatever they show
     )
     return build(BuildPlan(job, Path(out), SPLITS), InlineExecutor)
 
