@@ -144,7 +144,7 @@ class MitsubaOccluder:
             view = self._view(depth, R[k], t[k], cameras[k], fractions[k])
             if isinstance(view, View) and hit is not None and normals is not None:
                 # The pixels with depth, in the order of the points.
-                seen = normals[hit[depth != 0]]
+                seen = normals.take(hit[depth != 0], axis=0)
                 view.normals = towards_camera(seen, view.points, R[k])
             views.append(view)
         return views

@@ -176,8 +176,8 @@ class TimeOfFlight:
             takes a longer way and is our own first-order form.
 
     Lateral noise frays outlines; the depth of a slanted surface is left to the axial fit, which was
-    measured there. Axial noise is Gaussian with the indoor fit of Fankhauser et al. 2015, in millimetres with z in
-    metres and θ between normal and ray: 1.5 − 0.5z + 0.3z² + 0.1·z^(3/2)·θ²/(π/2 − θ)². The last
+    measured there. It is Gaussian, the indoor fit of Fankhauser et al. 2015, in millimetres with z
+    in metres and θ between normal and ray: 1.5 − 0.5z + 0.3z² + 0.1·z^(3/2)·θ²/(π/2 − θ)². The last
     term is the amplitude that falls with the angle.
     """
 

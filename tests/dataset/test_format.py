@@ -1,6 +1,7 @@
 """What a shard holds and what stands beside it: both formats, normals, depth images, objects."""
 
 import json
+import re
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,8 +10,10 @@ import h5py
 import numpy as np
 import pytest
 
+from partialbench.dataset import manifest as manifests
 from partialbench.dataset import objects
 from partialbench.dataset.build import build
+from partialbench.dataset.card import HPR_MEASURED, visibility_lines
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.schema import FIELDS, OBJECT_ID_BYTES
@@ -22,6 +25,7 @@ from partialbench.errors import ConfigurationMismatchError, InputError
 from tests.dataset.toy import ToyOccluder, ToySource, plan
 
 FORMAT_1 = Path(__file__).parent / "format_1"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
@@ -209,3 +213,18 @@ def test_a_view_of_too_few_points_is_turned_away_with_its_reason(tmp_path):
     assert {(f["kind"], f["reason"]) for f in manifest.failures} == {("rejected", "too few points")}
     assert manifest.failures[0]["details"] == {"visible": 15, "minimum": 16}
     assert set(ShardDataset(tmp_path, "train", 64).n_visible) == {16, 17}
+
+
+def test_the_card_of_clouds_says_how_far_they_are_what_a_camera_sees():
+    """The figures are those of the table in docs/hpr.md."""
+    rows = {}
+    for line in (DOCS / "hpr.md").read_text().splitlines():
+        if cells := re.match(r"\| ([0-9.]+) \| ([0-9.]+) \| ([0-9.]+) \| [*0-9.]+ \|", line):
+            rows[float(cells[1])] = float(cells[2]), float(cells[3])
+    assert rows.items() >= HPR_MEASURED.items()
+    manifest = manifests.load(FORMAT_1)
+    assert visibility_lines(manifest) == []
+    manifest.configuration["occluder"] = {"name": "hpr", "gamma": 1.5}
+    assert "precision 0.81 (19% of the" in visibility_lines(manifest)[0]
+    manifest.configuration["occluder"] = {"name": "hpr", "radius": 50.0}
+    assert "was not measured" in visibility_lines(manifest)[0]
