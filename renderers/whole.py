@@ -19,7 +19,7 @@ def as_cloud(shape: Any) -> NDArray[np.float64]:
             "the shape is a mesh, expected an (n,3) cloud; hidden point removal works on clouds: "
             "use a source of clouds, or a depth renderer for meshes"
         )
-    cloud = np.asarray(shape, np.float64)
+    cloud = np.asarray(getattr(shape, "points", shape), np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) == 0:
         raise InputError(f"the shape must be an (n,3) cloud with n ≥ 1, got {cloud.shape}")
     return cloud

@@ -49,6 +49,7 @@ class Manifest:
         class_names: label → name.
         state: "building" or "complete".
         shards: finished shards in split and index order.
+        listing: how the source's files were understood, in words; "" where there are none.
         listing_failures: what listing the source turned away.
         digests: split → content digest over its rows in order (independent of the shard size).
         versions: of what made it; not part of the configuration.
@@ -59,6 +60,7 @@ class Manifest:
     class_names: list[str]
     state: str = "building"
     shards: list[ShardEntry] = field(default_factory=list)
+    listing: str = ""
     listing_failures: list[dict[str, Any]] = field(default_factory=list)
     digests: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
@@ -77,6 +79,11 @@ class Manifest:
         if sensor is None or sensor["name"] == "ideal":
             return ""
         return f"{sensor['name']}:{sensor['strength']:g}"
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether the rows' rotations are poses; else they are placeholders."""
+        return self.configuration.get("pose") != "none"
 
     @property
     def failures(self) -> list[dict[str, Any]]:

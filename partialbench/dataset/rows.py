@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench.dataset.names import printable
 from partialbench.dataset.schema import FIELDS, OBJECT_ID_BYTES
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import Columns, row_digests
@@ -78,7 +79,7 @@ def failure_record(ref: ObjectRef, error: BaseException | str) -> dict[str, Any]
     """The line of failures.jsonl for an object that an error stopped."""
     return {
         "kind": "failed", "split": ref.split, "object_id": ref.object_id,
-        "location": ref.location,
+        "location": printable(ref.location),
         "reason": error if isinstance(error, str) else reason_of(error),
     }  # fmt: skip
 
@@ -107,7 +108,7 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
-                 "location": ref.location, "reason": view.reason, "details": view.details}
+                 "location": printable(ref.location), "reason": view.reason, "details": view.details}
             )  # fmt: skip
             continue
         points = draw(view.points, job.points, generator(job.seed, *key, v, "draw"))

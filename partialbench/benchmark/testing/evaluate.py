@@ -86,7 +86,7 @@ def predict_rows(
             )
         predicted.append(logits.argmax(dim=1).cpu())
         logs.append(logits.log_softmax(dim=1).cpu())
-        if prediction.pose_logits is not None:
+        if prediction.pose_logits is not None and getattr(dataset, "has_poses", True):
             order = prediction.pose_logits.argsort(dim=1, descending=True, stable=True)
             bins.append(order[:, :POSE_BINS_KEPT].cpu())
         if prediction.candidates is not None:
