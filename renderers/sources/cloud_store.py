@@ -34,7 +34,8 @@ class HdfFile:
         """This process's handle; ``InputError`` where it is no HDF5 file."""
         if self._opened is None or self._opened[0] != os.getpid():
             try:
-                self._opened = os.getpid(), h5py.File(self.path, "r")
+                # Nobody writes to it meanwhile, and some file systems have no locks.
+                self._opened = os.getpid(), h5py.File(self.path, "r", locking=False)
             except OSError as error:
                 raise InputError(f"{self.path} is not a readable HDF5 file: {error}") from error
         return self._opened[1]

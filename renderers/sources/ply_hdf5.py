@@ -38,7 +38,7 @@ def hdf5_files(path: Path) -> list[Path]:
 def fields_of(path: Path) -> set[str]:
     """The names at an HDF5 file's top; none where it is not readable."""
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(path, "r", locking=False) as file:
             return set(file)
     except OSError:
         return set()
