@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from partialbench.benchmark.protocol.recipe import make_optimizer
 from partialbench.benchmark.training.muon import RMS, Muon, orthogonalised
+from partialbench.benchmark.training.optimizers import make_optimizer
 from partialbench.registry import Recipe
 
 

@@ -14,6 +14,7 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import PRESETS, Protocol, from_dict, protocol
 from partialbench.benchmark.protocol.schedule import Schedule, learning_rate
 from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
+from partialbench.benchmark.training.optimizers import make_optimizer
 from partialbench.errors import InputError
 from partialbench.registry import ModelCard, Recipe
 
@@ -201,7 +202,7 @@ def test_plateau_cuts_after_its_scaled_patience_and_survives_a_resume():
     recipe = Recipe(lr=1.0, epochs=100, schedule="plateau",
                     schedule_options={"factor": 0.5, "patience": 10, "floor": 0.3})  # fmt: skip
     model = nn.Linear(2, 2)
-    optimizer = recipes.make_optimizer(model, recipe)
+    optimizer = make_optimizer(model, recipe)
     schedule = Schedule(recipe, epochs=20)  # patience 2
     rates = []
     for epoch, loss in enumerate([1.0, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9, 0.9]):
@@ -220,7 +221,7 @@ def test_batch_norm_momentum_follows_its_staircase():
     })  # fmt: skip
     model = nn.Sequential(nn.Linear(2, 2), nn.BatchNorm1d(2))
     schedule = Schedule(recipe, 250)
-    optimizer = recipes.make_optimizer(model, recipe)
+    optimizer = make_optimizer(model, recipe)
     for samples, momentum in [(0, 0.5), (400_000, 0.125), (2_400_000, 0.01)]:
         schedule.apply(optimizer, model, samples / (250 * 9840))
         assert model[1].momentum == momentum
@@ -246,7 +247,7 @@ def test_every_registered_recipe_can_be_made():
         for preset in ("mini", "paper"):
             recipe = recipes.of_protocol(card, protocol(preset))
             schedule = Schedule(recipe, 3)
-            optimizer = recipes.make_optimizer(model, recipe)
+            optimizer = make_optimizer(model, recipe)
             for progress in (0.0, 0.5, 0.99):
                 assert schedule.apply(optimizer, model, progress) > 0
 

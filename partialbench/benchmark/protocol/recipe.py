@@ -1,4 +1,4 @@
-"""From a published recipe to an optimiser, and what our protocol changes about it, in words."""
+"""What our protocol changes about a published recipe, in fields and in words."""
 
 from __future__ import annotations
 
@@ -6,37 +6,12 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import torch
-from torch import nn
-from torch.optim import Optimizer
-
 from partialbench.benchmark.protocol.protocol import Protocol, is_number
 from partialbench.benchmark.protocol.schedule import check as check_schedule
-from partialbench.benchmark.training.muon import Muon
 from partialbench.errors import InputError
 from partialbench.registry import SHORT_RECIPE, ModelCard, Recipe, close_matches
 
 OPTIMIZERS = ("adam", "adamw", "muon", "sgd")
-
-
-def make_optimizer(model: nn.Module, recipe: Recipe) -> Optimizer:
-    """The recipe's optimiser over every parameter that asks for a gradient."""
-    parameters = [p for p in model.parameters() if p.requires_grad]
-    if not parameters:
-        raise InputError(f"{type(model).__name__} has no trainable parameters")
-    if recipe.optimizer == "adam":
-        return torch.optim.Adam(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
-    if recipe.optimizer == "adamw":
-        return torch.optim.AdamW(parameters, lr=recipe.lr, weight_decay=recipe.weight_decay)
-    if recipe.optimizer == "muon":
-        return Muon(parameters, recipe.lr, recipe.weight_decay)
-    if recipe.optimizer == "sgd":
-        return torch.optim.SGD(
-            parameters, lr=recipe.lr, momentum=recipe.momentum, weight_decay=recipe.weight_decay
-        )
-    raise InputError(
-        f"no optimizer named {recipe.optimizer!r}{close_matches(recipe.optimizer, OPTIMIZERS)}"
-    )
 
 
 def label_smoothing(recipe: Recipe, num_classes: int) -> float:

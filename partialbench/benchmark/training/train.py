@@ -36,6 +36,7 @@ from partialbench.benchmark.records.results import describe_data
 from partialbench.benchmark.testing import audit, duplicates, evaluate
 from partialbench.benchmark.training import checkpoint, finetune
 from partialbench.benchmark.training.batches import BatchStream, Place
+from partialbench.benchmark.training.optimizers import make_optimizer
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import ConfigurationMismatchError, PartialbenchError
@@ -186,7 +187,7 @@ def train(
     )
     if fabric.world_size > 1 and fabric.device.type == "cuda":
         wrapped = nn.SyncBatchNorm.convert_sync_batchnorm(wrapped)
-    network, optimizer = fabric.setup(wrapped, recipes.make_optimizer(wrapped, task.recipe))
+    network, optimizer = fabric.setup(wrapped, make_optimizer(wrapped, task.recipe))
     bare = wrapped.model
     stream = BatchStream(
         task.dataset, task.train_rows, task.protocol, task.recipe.batch_size, task.seed,
