@@ -93,6 +93,7 @@ def import_release(
         views=dict.fromkeys(SPLITS, 1),
         points=source.points_per_row,
         seed=0,
+        min_visible=1,  # as released, whatever they show
     )
     return build(BuildPlan(job, Path(out), SPLITS), InlineExecutor)
 

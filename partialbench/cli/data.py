@@ -73,11 +73,18 @@ def render(
         ),
     ] = None,
     keep_depth: Annotated[bool, typer.Option(help="store the depth images too")] = False,
+    normals: Annotated[
+        bool, typer.Option("--normals", help="store the points' surface normals too")
+    ] = False,
+    min_visible: Annotated[
+        int | None,
+        typer.Option(help="turn views away that show fewer distinct points [16; ps15: 128]"),
+    ] = None,
     radius: Annotated[
         float | None, typer.Option(help="hidden point removal: radius of the spherical flip")
     ] = None,
     gamma: Annotated[
-        float | None, typer.Option(help="the same as 10^gamma · the largest distance [1.75]")
+        float | None, typer.Option(help="the same as 10^gamma · the largest distance [1.5]")
     ] = None,
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
@@ -140,6 +147,8 @@ def render(
         splits=tuple(dict.fromkeys(split)) if split else None,
         objects_per_class=objects_per_class,
         points=points,
+        min_visible=min_visible,
+        normals=normals,
         seed=seed,
         rows_per_shard=rows_per_shard,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import partialbench
-from partialbench.dataset.schema import FORMAT, FORMAT_VERSION
+from partialbench.dataset.schema import FORMAT, FORMAT_VERSION, READABLE
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import ConfigurationMismatchError, InputError
 
@@ -27,6 +27,7 @@ class ShardEntry:
         split, index: which slice of which split.
         rows, objects, bytes, sha256: of the file.
         failures: objects and views of this slice that gave no row, as in failures.jsonl.
+        objects_sha256: of this shard's lines in objects.jsonl; "" without rows, and in format 1.
     """
 
     file: str
@@ -37,6 +38,7 @@ class ShardEntry:
     bytes: int
     sha256: str
     failures: list[dict[str, Any]] = field(default_factory=list)
+    objects_sha256: str = ""
 
 
 @dataclass
@@ -53,6 +55,7 @@ class Manifest:
         listing_failures: what listing the source turned away.
         digests: split → content digest over its rows in order (independent of the shard size).
         versions: of what made it; not part of the configuration.
+        format_version: of the folder's files.
     """
 
     dataset_id: str
@@ -64,6 +67,7 @@ class Manifest:
     listing_failures: list[dict[str, Any]] = field(default_factory=list)
     digests: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
+    format_version: int = FORMAT_VERSION
 
     @property
     def configuration_digest(self) -> str:
@@ -102,7 +106,6 @@ class Manifest:
         """Write manifest.json and failures.jsonl, each atomically."""
         data = {
             "format": FORMAT,
-            "format_version": FORMAT_VERSION,
             "configuration_digest": self.configuration_digest,
             **asdict(self),
         }
@@ -132,10 +135,10 @@ def load(folder: Path) -> Manifest:
         )
     try:
         data = json.loads(path.read_text())
-        if (data["format"], data["format_version"]) != (FORMAT, FORMAT_VERSION):
+        if data["format"] != FORMAT or data["format_version"] not in READABLE:
             raise InputError(
                 f"{path} has format {data['format']!r} version {data['format_version']!r}, "
-                f"expected {FORMAT!r} version {FORMAT_VERSION}"
+                f"expected {FORMAT!r} version {' or '.join(map(str, READABLE))}"
             )
         recorded = data["configuration_digest"]
         fields = {k: data[k] for k in Manifest.__dataclass_fields__ if k != "shards"}
@@ -151,7 +154,16 @@ def load(folder: Path) -> Manifest:
 
 
 def require_same(existing: Manifest, wanted: Manifest, folder: Path) -> None:
-    """Raise ``ConfigurationMismatchError`` naming each setting in which the folder differs."""
+    """Raise ``ConfigurationMismatchError`` naming each setting in which the folder differs.
+
+    A folder of an earlier format is not continued, whatever its configuration.
+    """
+    if existing.format_version != FORMAT_VERSION:
+        raise ConfigurationMismatchError(
+            f"{folder} was made by an earlier release, in format {existing.format_version} (this "
+            f"one writes {FORMAT_VERSION}): it is read as it is, but not continued. Choose another "
+            f"--out"
+        )
     if existing.configuration_digest == wanted.configuration_digest:
         return
     old = {"dataset_id": existing.dataset_id, **existing.configuration}

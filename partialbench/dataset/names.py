@@ -1,13 +1,8 @@
-"""Names of files as ids of objects: printable, and no longer than a shard holds."""
+"""Names of files as names of objects: in signs that a terminal, JSON and HDF5 take."""
 
 from __future__ import annotations
 
-import hashlib
 import os
-
-from partialbench.dataset.schema import OBJECT_ID_BYTES
-
-_DIGITS = 16
 
 
 def printable(name: str) -> str:
@@ -20,17 +15,3 @@ def printable(name: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-
-
-def object_id(name: str) -> str:
-    """The name if it is printable and fits into a shard; else made so, its end by a digest.
-
-    Distinct names give distinct ids.
-    """
-    shown = printable(name)
-    encoded = shown.encode()
-    if len(encoded) <= OBJECT_ID_BYTES:
-        return shown
-    digest = hashlib.sha256(os.fsencode(name)).hexdigest()[:_DIGITS]
-    head = encoded[: OBJECT_ID_BYTES - _DIGITS - 1].decode("utf-8", "ignore")
-    return f"{head}~{digest}"

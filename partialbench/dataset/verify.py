@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset import manifest as manifests
+from partialbench.dataset import objects as tables
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.schema import DIGESTED, FIELDS
 from partialbench.dataset.shards import (
@@ -35,6 +36,8 @@ BALL_TOLERANCE = 1e-3
 """How far outside the unit ball a point may lie (object units)."""
 SURFACE_TOLERANCE = 1e-4
 """How far off the source's surface an ideal sensor's point may lie (object units)."""
+UNIT_TOLERANCE = 1e-5
+"""How far from 1 a normal's length may be, and how far beyond a right angle it may look away."""
 
 
 @dataclass
@@ -86,12 +89,13 @@ def verify(
     for path in sorted(folder.glob("*.h5")):
         if path.name not in known:
             report.problems.append(f"{path.name} is not in the manifest")
+    table = _table(folder, manifest, report)
     digests: dict[str, list[NDArray]] = {}
     seen: dict[str, set[tuple[bytes, int]]] = {}
     surface: list[NDArray] = []
     written = [entry for entry in manifest.shards if entry.rows]
     for n, entry in enumerate(written):
-        columns = _read_and_check(folder, manifest, entry, report)
+        columns = _read_and_check(folder, manifest, entry, table, report)
         if columns is not None:
             digests.setdefault(entry.split, []).append(columns["row_sha256"])
             report.rows[entry.split] = report.rows.get(entry.split, 0) + len(columns["label"])
@@ -115,8 +119,47 @@ def verify(
     return report
 
 
+def _table(folder: Path, manifest: Manifest, report: Report) -> dict[str, str]:
+    """objects.jsonl by shard, in format 2; what is wrong with the whole of it is reported."""
+    if manifest.format_version == 1:
+        return {}
+    if not (folder / tables.NAME).is_file():
+        report.problems.append(f"{tables.NAME} is missing; run the render command again")
+        return {}
+    try:
+        table = tables.load(folder)
+    except InputError as error:
+        report.problems.append(str(error))
+        return {}
+    for shard in table.keys() - {entry.file for entry in manifest.shards if entry.rows}:
+        report.problems.append(f"{tables.NAME} lists objects of {shard!r}, the manifest has none")
+    return table
+
+
+def _table_problems(
+    folder: Path, columns: Columns, entry: ShardEntry, table: dict[str, str]
+) -> list[str]:
+    """What is wrong with a shard's lines in objects.jsonl."""
+    text = table.get(entry.file, "")
+    if tables.text_digest(text) != entry.objects_sha256:
+        return [
+            f"its objects in {tables.NAME} are not those the manifest recorded: missing, damaged "
+            f"or edited"
+        ]
+    try:
+        lines = tables.parse(text, folder / tables.NAME)
+    except InputError as error:
+        return [str(error)]
+    problems = []
+    if {line.object_id.encode() for line in lines} != set(columns["object_id"].tolist()):
+        problems.append(f"its objects are not those that {tables.NAME} lists")
+    if any(line.split != entry.split for line in lines):
+        problems.append(f"{tables.NAME} lists objects of it in another split")
+    return problems
+
+
 def _read_and_check(
-    folder: Path, manifest: Manifest, entry: ShardEntry, report: Report
+    folder: Path, manifest: Manifest, entry: ShardEntry, table: dict[str, str], report: Report
 ) -> Columns | None:
     """The shard's columns when its bytes and schema are as recorded, else None."""
     path = folder / entry.file
@@ -137,7 +180,8 @@ def _read_and_check(
         with open_shard(path) as file:
             columns = {f.name: file[f.name][()] for f in FIELDS if f.name in file}
             recorded = file.attrs["configuration_digest"]
-            rows_of_objects = len(file["objects/object_id"])
+            listed = set(file["objects/object_id"][()]) if "objects" in file else None
+            version = file.attrs["format_version"]
     except (InputError, OSError, KeyError, RuntimeError) as error:
         problem(f"not readable: {error}")
         return None
@@ -147,8 +191,17 @@ def _read_and_check(
         for text in schema:
             problem(text)
         return None
-    if rows_of_objects > entry.objects:
-        problem(f"lists {rows_of_objects} objects, the manifest says {entry.objects}")
+    if version != manifest.format_version:
+        problem(f"has format {version}, the manifest says {manifest.format_version}")
+    elif manifest.format_version == 1:
+        if listed != set(columns["object_id"].tolist()):
+            problem("its objects are not those of its rows")
+    else:
+        for text in _table_problems(folder, columns, entry, table):
+            problem(text)
+    distinct = len(set(columns["object_id"].tolist()))
+    if distinct > entry.objects:
+        problem(f"has rows of {distinct} objects, the manifest says {entry.objects}")
     wrong = np.flatnonzero((row_digests(columns) != columns["row_sha256"]).any(axis=1))
     if len(wrong):
         problem(f"{len(wrong)} row(s) do not match their digest, the first is row {wrong[0]}")
@@ -195,14 +248,22 @@ def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
     require(is_rotation(R), "R_camera_object is not a rotation")
     labels = columns["label"]
     require((labels >= 0) & (labels < len(manifest.class_names)), "label is out of range")
-    require(columns["n_visible"] >= 1, "n_visible is below 1")
     fraction = columns["visible_fraction"]
     require((fraction >= 0) & (fraction <= 1), "visible_fraction is outside [0, 1]")
     known = {name.encode() for name in GROUPS}
     require(np.array([s in known for s in columns["symmetry"]]), "symmetry is no known group")
+    minimum = manifest.configuration.get("min_visible", 1)
+    require(columns["n_visible"] >= minimum, f"n_visible is below the folder's {minimum}")
     if problems:
         return problems
     points = columns["points"].astype(np.float64)
+    if "normals" in columns:
+        normals = columns["normals"].astype(np.float64)
+        length = np.linalg.norm(normals, axis=2)
+        unit = (np.abs(length - 1) <= UNIT_TOLERANCE).all(axis=1)  # False for NaN as well
+        require(unit, "normals are no unit vectors")
+        facing = (normals * points).sum(axis=2) / np.linalg.norm(points, axis=2)
+        require((facing <= UNIT_TOLERANCE).all(axis=1), "normals look away from the camera")
     canonical = (points - t[:, None]) @ R
     radius = np.linalg.norm(canonical, axis=2).max(axis=1)
     # A noisy sensor's flying pixels may lie anywhere along their ray.

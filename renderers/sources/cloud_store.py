@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from partialbench.dataset.names import object_id
+from partialbench.dataset.names import printable
 from partialbench.dataset.sources import ObjectRef
 from partialbench.errors import InputError, parsing
 from renderers.sources.listing import SPLITS, Listing
@@ -156,13 +156,10 @@ class HdfStore:
         require_counts(group, fields, where)
         labels = whole_labels(group, "label", len(self.listing.class_names), where)
         ids = strings(group, "object_id", where)
-        refs = []
-        for row, (name, label) in enumerate(zip(ids, labels, strict=True)):
-            short = object_id(name)
-            if short != name:
-                self.listing.long_names[short] = name
-            refs.append(ObjectRef(short, int(label), split, f"{split}/{row}"))
-        return refs
+        return [
+            ObjectRef(printable(name), int(label), split, f"{split}/{row}")
+            for row, (name, label) in enumerate(zip(ids, labels, strict=True))
+        ]
 
     def _row(self, ref: ObjectRef) -> NDArray:
         split, _, row = ref.location.partition("/")

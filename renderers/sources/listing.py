@@ -9,7 +9,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from partialbench.dataset.categories import MODELNET40
-from partialbench.dataset.names import object_id, printable
+from partialbench.dataset.names import printable
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError
 from renderers.sources.files import Files
@@ -32,7 +32,6 @@ class Listing:
         words: how the tree was understood, for a person.
         pattern: how the objects lie.
         notes: what else the words say.
-        long_names: id → full name, where a name is longer than a shard holds.
     """
 
     class_names: tuple[str, ...]
@@ -41,7 +40,6 @@ class Listing:
     words: str = ""
     pattern: str = ""
     notes: list[str] = field(default_factory=list)
-    long_names: dict[str, str] = field(default_factory=dict)
 
     def splits(self) -> tuple[str, ...]:
         """The splits that have objects."""
@@ -60,12 +58,10 @@ class Listing:
             for split in SPLITS
             for ref in self.of(split)
         ]
-        long = {"long_names": self.long_names} if self.long_names else {}
         return {
             "layout": "; ".join([self.pattern, *self.notes]),
             "objects": {split: len(self.of(split)) for split in self.splits()},
             "listing_sha256": hashlib.sha256(json.dumps(listed).encode()).hexdigest(),
-            **long,
         }
 
 
@@ -117,7 +113,7 @@ def _add(
         if _bare(earlier.location) == _bare(entry.location):
             listing.rejected.append(
                 RejectedObject(
-                    object_id(full), split, "another file gives an object of this name",
+                    printable(full), split, "another file gives an object of this name",
                     entry.location, {"taken": earlier.location},
                 )
             )  # fmt: skip
@@ -125,11 +121,8 @@ def _add(
         # Another object of the same name, in another folder: its place tells them apart.
         full = f"{entry.category}/{_bare(entry.location)}"
     taken[split, full] = entry
-    short = object_id(full)
-    if short != full:
-        listing.long_names[short] = printable(full)
     label = listing.class_names.index(category)
-    ref = ObjectRef(short, label, split, entry.location)
+    ref = ObjectRef(printable(full), label, split, entry.location)
     listing.objects.setdefault(split, []).append(ref)
 
 
@@ -147,9 +140,8 @@ def _bare(location: str) -> str:
 
 
 def _left_out(location: str, reason: str, failed: bool) -> RejectedObject:
-    return RejectedObject(
-        object_id(_bare(location)), "", printable(reason), location, failed=failed
-    )
+    name = printable(_bare(location))
+    return RejectedObject(name, "", printable(reason), location, failed=failed)
 
 
 def _words(listing: Listing, present: list[str], layout: Layout) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.cloud_formats.points import Points, unit_normals
-from partialbench.dataset.names import object_id
+from partialbench.dataset.names import printable
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError, parsing
 from renderers.sources.cloud_store import HdfFile, dataset, require_counts, whole_labels
@@ -107,7 +107,7 @@ class PlyHdf5Store:
                         f"{name}: row {row} has label {label} ({category}), its id2file.json says "
                         f"{meshes[row]!r}"
                     )
-            ref = ObjectRef(object_id(full), label, split, f"{name}/{row}")
+            ref = ObjectRef(printable(full), label, split, f"{name}/{row}")
             self.listing.objects.setdefault(split, []).append(ref)
 
     def _say(self, listed: list[str]) -> None:
