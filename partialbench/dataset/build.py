@@ -217,7 +217,8 @@ def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manif
         ]
         if len(kept) < len(existing.shards):  # a shard was deleted or is wanted anew
             existing.shards, existing.state, existing.digests = kept, "building", {}
-            existing.listing_failures = wanted.listing_failures
+            existing.card_sha256 = ""
+            existing.listing, existing.listing_failures = wanted.listing, wanted.listing_failures
             # Before a file is replaced: the manifest never vouches for bytes it has not seen.
             existing.save(out)
         return existing
@@ -417,5 +418,5 @@ def _finish(out: Path, manifest: Manifest) -> None:
             if entry.split == split and entry.rows
         )
     manifest.state = "complete"
-    write_card(out, manifest)
+    manifest.card_sha256 = manifests.bytes_sha256(write_card(out, manifest))
     manifest.save(out)

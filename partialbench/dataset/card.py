@@ -28,9 +28,14 @@ PAPER_ROWS = {"pm40": {"train": 98_430, "test": 2_468}, "ps15": {"train": 22_670
 """Rows of the paper's data sets (section 5.1). No other data set stands beside them."""
 
 
-def write_card(folder: Path, manifest: Manifest) -> None:
-    """Write the card of a finished folder."""
-    write_atomically(folder / "CARD.md", card_text(folder, manifest).encode())
+NAME = "CARD.md"
+
+
+def write_card(folder: Path, manifest: Manifest) -> bytes:
+    """Write the card of a finished folder; what was written."""
+    content = card_text(folder, manifest).encode()
+    write_atomically(folder / NAME, content)
+    return content
 
 
 def card_text(folder: Path, manifest: Manifest) -> str:
