@@ -112,8 +112,6 @@ OPEN_SOURCE = "renderers.sources.open:open_source"
 
 SOURCES: dict[str, str] = {
     "parametric": "renderers.shapes.source:ParametricShapes",
-    "modelnet40": "renderers.sources.modelnet:ModelNet40Tree",
-    "modelnet40-zip": "renderers.sources.modelnet:ModelNet40Zip",
     "folder": "renderers.sources.folder:MeshFolder",
     "clouds": "renderers.sources.clouds:CompleteClouds",
     "scannet": "renderers.sources.scannet.source:ScanNetInstances",
@@ -123,9 +121,9 @@ SOURCES: dict[str, str] = {
 DATASET_IDS: dict[str, tuple[str, str]] = {
     "parametric": ("pm40-parametric", "mitsuba"),
     "modelnet40": ("pm40", "mitsuba"),
-    "modelnet40-zip": ("pm40", "mitsuba"),
     "folder": ("pm40-custom", "mitsuba"),
     "clouds": ("pm40-clouds", "hpr"),
+    "custom-clouds": ("pm40-custom-clouds", "hpr"),
     "scannet": ("ps15", "scan-hpr"),
     "rooms": ("ps15-rooms", "scan-hpr"),
 }
@@ -141,7 +139,10 @@ OCCLUDERS: dict[str, str] = {
 
 LEADERBOARD = "leaderboard.build:build_leaderboard"
 SHAPE_EXPORT = "renderers.shapes.export:export_tree"
-RELEASES: dict[str, str] = {"papnet": "renderers.release:import_release"}
+RELEASES: dict[str, str] = {
+    "papnet": "renderers.release:import_release",
+    "scanobjectnn": "renderers.scanobjectnn:import_scanobjectnn",
+}
 """Layouts of published arrays that ``partialbench import`` reads."""
 
 

@@ -16,7 +16,7 @@ from rich.logging import RichHandler
 
 from partialbench import __version__
 from partialbench.cli import benchmark, board, data
-from partialbench.console import stderr
+from partialbench.console import prepare_streams, quiet_libraries, stderr
 from partialbench.errors import PartialbenchError
 
 app = typer.Typer(
@@ -47,10 +47,12 @@ def _root(
         handlers=[RichHandler(console=stderr, show_path=False)],
         force=True,
     )
+    quiet_libraries(verbose)
 
 
 def main() -> None:
     """Entry point: turns expected errors into one line on stderr and an exit status."""
+    prepare_streams()
     # A user's own model lives in the folder they stand in.
     sys.path.insert(0, os.getcwd())
     try:

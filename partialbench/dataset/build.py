@@ -7,7 +7,6 @@ are keyed, not sequenced; they are written in listing order; a finished shard is
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import pickle
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
@@ -20,7 +19,10 @@ from partialbench.dataset import manifest as manifests
 from partialbench.dataset import objects as tables
 from partialbench.dataset.card import write_card
 from partialbench.dataset.executors import process_pool, worker_deaths
+from partialbench.dataset.lock import FILES as LOCK_FILES
+from partialbench.dataset.lock import sole_user
 from partialbench.dataset.manifest import Manifest, ShardEntry
+from partialbench.dataset.names import printable
 from partialbench.dataset.rows import Job, ObjectRows, failure_record, run_pickled
 from partialbench.dataset.shards import (
     TEMPORARY_SUFFIX,
@@ -89,6 +91,8 @@ class BuildPlan:
             # In these settings a source's own poses are not asked for; folders of releases that
             # did ask are not continued.
             **poses,
+            # Rows without a known pose have the identity; this says that it is none.
+            **({"pose": "none"} if getattr(self.job.source, "pose", "") == "none" else {}),
         }
 
     def slices(self) -> Iterator[tuple[str, int, list[ObjectRef]]]:
@@ -158,12 +162,13 @@ def build(
         list(plan.job.source.class_names),
         listing_failures=[
             {"kind": "failed" if r.failed else "rejected", "split": r.split, "details": r.details,
-             "object_id": r.object_id, "location": r.location, "reason": r.reason}
+             "object_id": r.object_id, "location": printable(r.location), "reason": r.reason}
             for r in plan.job.source.rejected
         ],
+        listing=getattr(plan.job.source, "listing", ""),
         versions=manifests.versions(),
     )  # fmt: skip
-    with _sole_user(plan.out):
+    with sole_user(plan.out):
         manifest = _begin_or_continue(plan.out, wanted, retry_failed)
         if manifest.state == "complete":
             return manifest
@@ -196,24 +201,6 @@ def _require_unique(refs: list[ObjectRef]) -> None:
         seen[ref.object_id] = ref.location
 
 
-@contextlib.contextmanager
-def _sole_user(out: Path) -> Iterator[None]:
-    """Hold the folder's lock, so that two runs never write into one folder."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        lock = open(out / ".lock", "w")  # noqa: SIM115 (closed below, after the lock is released)
-    except OSError as error:
-        raise PartialbenchError(f"cannot use {out} as output folder: {error.strerror}") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise PartialbenchError(
-                f"another run is writing to {out}; wait for it or choose another --out"
-            ) from None
-        yield
-
-
 def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manifest:
     if (out / manifests.NAME).exists():
         existing = manifests.load(out)
@@ -230,13 +217,14 @@ def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manif
         ]
         if len(kept) < len(existing.shards):  # a shard was deleted or is wanted anew
             existing.shards, existing.state, existing.digests = kept, "building", {}
-            existing.listing_failures = wanted.listing_failures
+            existing.card_sha256 = ""
+            existing.listing, existing.listing_failures = wanted.listing, wanted.listing_failures
             # Before a file is replaced: the manifest never vouches for bytes it has not seen.
             existing.save(out)
         return existing
     # A run that could not write its first manifest leaves a list of failures, and a lock.
     # (The table of objects is written later, beside the first shard.)
-    own = (".lock", manifests.FAILURES)
+    own = (*LOCK_FILES, manifests.FAILURES)
     foreign = sorted(p.name for p in out.iterdir() if p.name not in own)
     if foreign and not all(name.endswith(TEMPORARY_SUFFIX) for name in foreign):
         raise PartialbenchError(
@@ -430,5 +418,5 @@ def _finish(out: Path, manifest: Manifest) -> None:
             if entry.split == split and entry.rows
         )
     manifest.state = "complete"
-    write_card(out, manifest)
+    manifest.card_sha256 = manifests.bytes_sha256(write_card(out, manifest))
     manifest.save(out)

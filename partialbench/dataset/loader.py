@@ -57,6 +57,7 @@ class ShardDataset:
         visible_fraction: (M,) float32. n_visible: (M,) int32.
         symmetries: (M,) str array of group names.
         source_digests: (M,) SHA-256 (hex) of what each row's object was made from, "" if not known.
+        has_poses: whether ``rotations`` are poses; where not, no figure may be made of them.
         class_names: label → name. dataset_id, setting, sensor, digest: from the manifest; the
             digest is of this split's content and does not depend on the shard size.
         manifest: the whole ``Manifest``.
@@ -83,6 +84,7 @@ class ShardDataset:
         self.dataset_id = self.manifest.dataset_id
         self.setting: str = self.manifest.configuration["setting"]
         self.sensor = self.manifest.sensor
+        self.has_poses = self.manifest.has_poses
         self.digest = self.manifest.digests[split]
         stored: int = self.manifest.configuration["points"]
         if not 1 <= num_points <= stored:

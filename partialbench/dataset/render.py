@@ -90,7 +90,7 @@ def plan_render(
     per_split = dict(PAPER_VIEWS[data_set])
     if views is not None:
         per_split = {"train": views, "test": views if data_set == "ps15" else 1}
-    chosen = splits or shapes.splits()
+    chosen = tuple(dict.fromkeys(splits or shapes.splits()))
     if unknown := [s for s in chosen if s not in shapes.splits()]:
         raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
     options = dict(occluder_options or {})

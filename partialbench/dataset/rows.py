@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench.dataset.names import printable
 from partialbench.dataset.objects import stored_id
 from partialbench.dataset.schema import FIELDS
 from partialbench.dataset.seeding import generator
@@ -93,7 +94,7 @@ def failure_record(ref: ObjectRef, error: BaseException | str) -> dict[str, Any]
     """The line of failures.jsonl for an object that an error stopped."""
     return {
         "kind": "failed", "split": ref.split, "object_id": ref.object_id,
-        "location": ref.location,
+        "location": printable(ref.location),
         "reason": error if isinstance(error, str) else reason_of(error),
     }  # fmt: skip
 
@@ -123,7 +124,7 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
-                 "location": ref.location, "reason": view.reason, "details": view.details}
+                 "location": printable(ref.location), "reason": view.reason, "details": view.details}
             )  # fmt: skip
             continue
         chosen = draw(len(view.points), job.points, generator(job.seed, *key, v, "draw"))

@@ -167,7 +167,8 @@ def file_sha256(path: Path) -> str:
 def open_shard(path: Path) -> h5py.File:
     """The file opened for reading; ``InputError`` when it is not a shard of a known version."""
     try:
-        file = h5py.File(path, "r")
+        # Shards are whole under their name; some file systems have no locks to ask for.
+        file = h5py.File(path, "r", locking=False)
     except OSError as error:
         raise InputError(f"{path} is not a readable HDF5 file: {error}") from error
     name, version = file.attrs.get("format"), file.attrs.get("format_version")
