@@ -231,9 +231,10 @@ class _Keeper:
         signal.signal(signal.SIGINT, self.before)
 
     def _wish(self) -> int:
+        time_is_over = self.should_stop is not None and self.should_stop()
         if self.interrupted:
             return self.INTERRUPTED
-        if self.should_stop is not None and self.should_stop():
+        if time_is_over:
             return self.TIME_IS_OVER
         if time.monotonic() - self.saved_at > CHECKPOINT_SECONDS:
             return self.SAVE
