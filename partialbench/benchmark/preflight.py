@@ -19,7 +19,7 @@ PRECISIONS = {
     "32-true": FULL_PRECISION, "32": FULL_PRECISION, "bf16-mixed": "bf16-mixed",
     "bf16": "bf16-mixed", "16-mixed": "16-mixed", "16": "16-mixed",
 }  # fmt: skip
-"""What can be trained in, by Fabric's names and their short forms. Weights are always of 32 bits."""
+"""What can be trained in, by Fabric's names and their short forms. Weights always have 32 bits."""
 
 
 def check(
@@ -58,7 +58,7 @@ def check_device(device: str) -> tuple[str, int | None]:
     if kind not in ("auto", "cpu", "cuda") or (colon and not (index.isascii() and index.isdigit())):
         raise InputError(f"device must be auto, cpu, cuda or cuda:0 …, got {device!r}")
     if colon and kind != "cuda":
-        raise InputError(f"device {kind} has no number, got {device!r}; only cuda has, as in cuda:1")
+        raise InputError(f"device {kind} has no number, got {device!r}; cuda has, as in cuda:1")
     return kind, int(index) if colon else None
 
 

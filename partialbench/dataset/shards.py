@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import secrets
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -95,7 +96,8 @@ def write_atomically(path: Path, data: bytes) -> None:
         PartialbenchError: the system refused (disk full, quota, read-only); the temporary file is
             removed and whatever was at ``path`` is untouched.
     """
-    temporary = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
+    # Two processes may write one file at once: each has a name of its own till it is whole.
+    temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(6)}{TEMPORARY_SUFFIX}")
     try:
         with open(temporary, "wb") as file:
             file.write(data)

@@ -162,7 +162,7 @@ def _digest(digest: Any, value: Any) -> None:
 def _digest_tensor(digest: Any, tensor: Tensor) -> None:
     flat = tensor.detach().cpu().contiguous()
     digest.update(f"{flat.dtype} {tuple(flat.shape)}\0".encode())
-    digest.update(memoryview(flat.reshape(-1).view(torch.uint8).numpy()))
+    digest.update(flat.reshape(-1).view(torch.uint8).numpy().data)
 
 
 def changed_code(content: Mapping[str, Any], model: str | None = None) -> str:

@@ -3,7 +3,7 @@
 Every random draw is keyed by where it happens: initial weights by (seed), the order by
 (seed, epoch), augmentation and dropout by (seed, epoch, batch). So a run that was killed and
 resumed ends with the weights of one that was not, and a checkpoint holds no generator's state.
-A model must draw from torch's generators alone for that to hold.
+A model may draw from torch's generators and the global ones of NumPy and Python: all are seeded.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from partialbench.benchmark.testing import audit, duplicates, evaluate
 from partialbench.benchmark.training import checkpoint, finetune
 from partialbench.benchmark.training.batches import BatchStream, Place
 from partialbench.benchmark.training.optimizers import make_optimizer
+from partialbench.benchmark.training.seeds import seed_all
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import ConfigurationMismatchError, PartialbenchError
@@ -153,6 +154,7 @@ def train(
     folder: Path,
     resume: bool = False,
     checkpoint_every: int | None = None,
+    silent: bool = False,
 ) -> Trained:
     """Trains, writing ``checkpoint.pt`` after every epoch and ``log.csv`` beside it.
 
@@ -162,6 +164,7 @@ def train(
         resume: continue from the checkpoint in ``folder``, if there is one; without it an earlier
             checkpoint there is overwritten.
         checkpoint_every: also after every so many steps.
+        silent: without a progress bar.
 
     Raises:
         DivergedError: NaN or infinite loss.
@@ -173,7 +176,7 @@ def train(
     num_classes = len(class_names)
 
     # The model, its optimiser and schedule, and the batches: all from the seed and the recipe.
-    torch.manual_seed(step_seed(task.seed, "init"))
+    seed_all(step_seed(task.seed, "init"))
     bare = models.create(task.model, num_classes, task.options)
     identity = task.identity()
     if task.start is not None:
@@ -257,7 +260,8 @@ def train(
     done: dict[str, Any] | None = None
     started = time.perf_counter()
     unread: list[Tensor] = []
-    with training_bar(Console(stderr=True), silent=not fabric.is_global_zero) as progress:
+    hidden = silent or not fabric.is_global_zero
+    with training_bar(Console(stderr=True), silent=hidden) as progress:
         bar = progress.add_task(task.model, total=total_steps, loss="")
         while epoch < epochs:
             epoch_started, first_batch = time.perf_counter(), batch_index
@@ -265,7 +269,7 @@ def train(
             for place, batch in stream.epoch(epoch, batch_index):
                 step = place.epoch * len(stream) + place.batch
                 rate = schedule.apply(optimizer, bare, step / total_steps)
-                torch.manual_seed(step_seed(task.seed, "step", *place, fabric.global_rank))
+                seed_all(step_seed(task.seed, "step", *place, fabric.global_rank))
                 loss = network(_to(batch, fabric.device))
                 optimizer.zero_grad(set_to_none=True)
                 fabric.backward(loss)
