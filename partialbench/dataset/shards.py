@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import secrets
 import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -131,7 +132,8 @@ def write_atomically(path: Path, data: bytes) -> None:
         PartialbenchError: the system refused (disk full, quota, read-only); the temporary file is
             removed and whatever was at ``path`` is untouched.
     """
-    temporary = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
+    # Two processes may write one file at once: each has a name of its own till it is whole.
+    temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(6)}{TEMPORARY_SUFFIX}")
     try:
         with open(temporary, "wb") as file:
             file.write(data)

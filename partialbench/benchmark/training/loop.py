@@ -31,6 +31,7 @@ from partialbench.benchmark.testing import audit, duplicates, evaluate
 from partialbench.benchmark.training import finetune
 from partialbench.benchmark.training.batches import BatchStream, Place
 from partialbench.benchmark.training.optimizers import make_optimizer
+from partialbench.benchmark.training.seeds import seed_all
 from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
 
@@ -96,7 +97,7 @@ class Loop:
     def __init__(self, task: Task, fabric: Fabric, plan: Plan) -> None:
         self.task, self.fabric, self.plan = task, fabric, plan
         class_names = list(task.dataset.class_names)
-        torch.manual_seed(step_seed(task.seed, "init"))
+        seed_all(step_seed(task.seed, "init"))
         bare = models.create(task.model, len(class_names), task.options)
         if task.start is not None:
             fresh = finetune.begin(
@@ -220,7 +221,7 @@ class Loop:
         self.timed, self.timed_since = 0, time.perf_counter()
         for step, place, batch in self.stream.steps(self.step, until):
             self.schedule.apply(self.optimizer, self.bare, step)
-            torch.manual_seed(step_seed(self.task.seed, "step", *place, self.fabric.global_rank))
+            seed_all(step_seed(self.task.seed, "step", *place, self.fabric.global_rank))
             self._take(batch)
             self.step, self.in_interval, self.timed = step + 1, self.in_interval + 1, self.timed + 1
             ends = self.plan.ends_interval(self.step, in_branch=step >= self.plan.branch_at)

@@ -145,7 +145,7 @@ def _is_row(text: str) -> bool:
 
 
 def _separator(lines: list[_Line]) -> str:
-    """";", ",", or "" for white space: what stands between the cells of every line."""
+    """ ";", ",", or "" for white space: what stands between the cells of every line."""
     # Of a header's prose the commas say nothing.
     rows = [line for line in lines if re.match(r"[+-]?[.\d]|[+-]?(?:nan|inf)", line.text, re.I)]
     body = rows or lines
