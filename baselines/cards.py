@@ -94,7 +94,6 @@ CARDS: tuple[ModelCard, ...] = (
                 "The release keeps the best test epoch."
             ),
         ),
-        short={"epochs": 2},
         published="baselines.dgcnn:from_published",
         paper_scores={"pm40": 78.8, "ps15": 78.4, "pm40>ps15": 40.0, "ps15>pm40": 42.8},
         choices=("the PyTorch release, which has no T-Net; the TensorFlow one has",),
@@ -109,7 +108,6 @@ CARDS: tuple[ModelCard, ...] = (
         representation=POINTS,
         parameters={40: 1_475_688, 15: 1_469_263},
         recipe=_POINTNET2_RECIPE,
-        short={"epochs": 3},
         published="baselines.pointnet2:from_published",
         paper_scores={"pm40": 79.1, "ps15": 80.4, "pm40>ps15": 37.2, "ps15>pm40": 44.1},
         choices=(
@@ -129,7 +127,6 @@ CARDS: tuple[ModelCard, ...] = (
         representation=POINTS,
         parameters={40: 1_747_368, 15: 1_740_943},
         recipe=_POINTNET2_RECIPE,
-        short={"epochs": 1},
         published="baselines.pointnet2:from_published",
         choices=(
             _ORDER_CHOICE,
@@ -161,7 +158,6 @@ CARDS: tuple[ModelCard, ...] = (
                 "0.2) and its smooth loss; the plateau is of the training loss."
             ),
         ),
-        short={"epochs": 1},
         published="baselines.simpleview:from_published",
         paper_scores={"pm40": 79.9, "ps15": 84.5, "pm40>ps15": 47.3, "ps15>pm40": 49.5},
         choices=("the ModelNet40 form: no cropping of the views",),
@@ -176,7 +172,6 @@ CARDS: tuple[ModelCard, ...] = (
         representation=POINTS,
         parameters={40: 2_278_769, 15: 2_272_344},
         recipe=_POINTNET2_RECIPE,
-        short={"epochs": 3},
         paper_scores={"pm40": 80.6, "ps15": 84.0, "pm40>ps15": 40.1, "ps15>pm40": 46.0},
         choices=(
             "how the paper joins T-Net and PointNet++ is not released: an unconstrained 3×3 matrix "
@@ -211,7 +206,6 @@ CARDS: tuple[ModelCard, ...] = (
             clip_norm=30.0,
             notes="Published without augmentation; class loss alone, no pose loss.",
         ),
-        short={"epochs": 3},
         paper_scores={"pm40": 80.9, "ps15": 85.2, "pm40>ps15": 40.1, "ps15>pm40": 47.5},
         choices=(
             "how the paper joins IT-Net and PointNet++ is not released: two iterations, as it-net "
@@ -232,7 +226,6 @@ CARDS: tuple[ModelCard, ...] = (
         invariances=frozenset({"permutation", "rotation"}),
         parameters={40: 1_478_888, 15: 1_472_463},
         recipe=_POINTNET2_RECIPE,
-        short={"epochs": 3},
         paper_scores={"pm40": 80.8, "ps15": 84.1, "pm40>ps15": 41.7, "ps15>pm40": 48.8},
         choices=(
             "no official code was found: ψ modulo 2π, which tells a shape from its mirror image",
@@ -272,7 +265,6 @@ CARDS: tuple[ModelCard, ...] = (
             schedule_options={"gamma": 0.2, "milestones": (32, 40)},
             notes="Published rates: 1e-3, 2e-4 from epoch 32, 4e-5 from epoch 40.",
         ),
-        short={"epochs": 3},
         paper_scores={"pm40": 79.5, "ps15": 85.8, "pm40>ps15": 44.2, "ps15>pm40": 46.4},
         choices=(
             "one branch with one channel, the paper's 1×64²; the release's demo has two",
@@ -304,7 +296,6 @@ CARDS: tuple[ModelCard, ...] = (
             schedule_options={"gamma": 0.1, "milestones": (500, 1000)},
             notes="Published epochs are class-equalised draws, not passes over the data.",
         ),
-        short={"epochs": 1},
         paper_scores={"pm40": 81.5, "ps15": 88.1, "pm40>ps15": 48.5, "ps15>pm40": 46.5},
         choices=(
             "the SHREC17 network; the paper does not say which it trained",

@@ -42,8 +42,8 @@ def main() -> None:
         build(plan_render("pm40", folder, views=VIEWS, points=1024, **options), workers=2)
         for model in arguments.models:
             (result,) = run_eval(
-                model, folder, preset="mini", results_folder=arguments.out / "results",
-                resume=True, num_points=arguments.num_points, clouds_seen=arguments.clouds_seen,
+                model, folder, preset="board", results_folder=arguments.out / "results",
+                num_points=arguments.num_points, clouds=[arguments.clouds_seen],
             )  # fmt: skip
             scores.setdefault(model, {})[name] = result.scores["accuracy"]
             print(f"{model} on {name}: {result.scores['accuracy']:.1%}", flush=True)

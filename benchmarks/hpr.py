@@ -34,7 +34,7 @@ from partialbench.dataset.seeding import generator
 from partialbench.geometry.camera import sample_pose
 from renderers.hpr import flip, hidden_point_removal, paper_radius
 from renderers.hull_cull import possible_vertices
-from renderers.shapes.family import make
+from renderers.shapes.catalogue import make
 from renderers.whole import sample_surface
 
 GAMMAS = np.arange(0, 4.01, 0.25)

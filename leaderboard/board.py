@@ -16,8 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol.protocol import PRESETS
-from partialbench.benchmark.records.results import Result, short_count
+from partialbench.benchmark.records.results import Result
 
 
 class Pose(NamedTuple):
@@ -171,9 +172,8 @@ def _title(result: Result) -> str:
 
 
 def budget_title(result: Result) -> str:
-    """The protocol's title and the milestone: "mini 100k clouds"."""
-    milestone = f" {short_count(result.clouds)} clouds" if result.clouds else ""
-    return protocol_title(result) + milestone
+    """The protocol's title and the milestone: "board, 100k clouds"."""
+    return f"{protocol_title(result)}, {milestones.name(result.clouds)} clouds"
 
 
 def protocol_title(result: Result) -> str:

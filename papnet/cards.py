@@ -16,7 +16,8 @@ _STEERED_RECIPE = Recipe(
     notes="This project's own. No augmentation but the protocol's.",
 )
 
-_STEERED_SHORT = {"optimizer": "adamw", "weight_decay": 0.01, "label_smoothing": 0.0}
+# Cross entropy without smoothing, as the loss of papnet-steered is.
+_STEERED_COMMON = {"label_smoothing": 0.0}
 
 _STEERED_ENCODER = (
     "invariant features of each point: two layers over its 16 nearest neighbours and one over what "
@@ -50,7 +51,7 @@ CARDS: tuple[ModelCard, ...] = (
             ),
         ),
         # Its loss is its own: cross entropy without smoothing.
-        short={"epochs": 1, "label_smoothing": 0.0},
+        common={"label_smoothing": 0.0},
         published="papnet.published:from_published",
         paper_scores={"pm40": 83.5, "ps15": 91.5, "pm40>ps15": 56.0, "ps15>pm40": 54.6},
         choices=(
@@ -79,7 +80,7 @@ CARDS: tuple[ModelCard, ...] = (
         invariances=frozenset({"permutation"}),
         parameters={40: 985_064, 15: 977_239},
         recipe=_STEERED_RECIPE,
-        short=_STEERED_SHORT,
+        common=_STEERED_COMMON,
         choices=(
             *_STEERED_ENCODER,
             "the descriptor: 96 channels of every degree up to 3, point features pooled against "
@@ -90,8 +91,6 @@ CARDS: tuple[ModelCard, ...] = (
             "classes",
             "loss: CE of the class + 0.3 · CE of the joint with a soft pose under the symmetry "
             "map, e^(6·cos θ) at the angle θ from the label",
-            "training clouds are stretched by up to 1.25 along each axis of their objects, which "
-            "the pose of the label gives",
         ),
     ),
     ModelCard(
@@ -103,7 +102,7 @@ CARDS: tuple[ModelCard, ...] = (
         invariances=frozenset({"permutation", "rotation"}),
         parameters={40: 989_386, 15: 979_761},
         recipe=_STEERED_RECIPE,
-        short=_STEERED_SHORT,
+        common=_STEERED_COMMON,
         choices=(
             *_STEERED_ENCODER,
             "the encoder and descriptor of papnet-steered; the norms of its channels, which no "

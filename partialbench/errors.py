@@ -5,7 +5,13 @@ from collections.abc import Iterator
 
 
 class PartialbenchError(Exception):
-    """Base of every error this project raises for a reason a user can act on."""
+    """Base of every error this project raises for a reason a user can act on.
+
+    Attributes:
+        exit_status: of a command that ends with it.
+    """
+
+    exit_status = 1
 
 
 class InputError(PartialbenchError, ValueError):
@@ -14,6 +20,12 @@ class InputError(PartialbenchError, ValueError):
 
 class ConfigurationMismatchError(PartialbenchError):
     """An output folder was made with another configuration than the one asked for."""
+
+
+class TimeLimitError(PartialbenchError):
+    """The time was over before the work was. What was done is kept, the same call goes on."""
+
+    exit_status = 75  # EX_TEMPFAIL of sysexits.h
 
 
 @contextlib.contextmanager

@@ -25,9 +25,10 @@ class Recipe:
 
     Attributes:
         optimizer: "adam", "adamw", "muon" or "sgd".
-        lr, weight_decay, momentum, batch_size, epochs: as published.
-        schedule: "constant", "step", "cosine", "one-cycle", "plateau"; ``schedule_options`` as the
-            harness's ``benchmark.schedule`` takes them.
+        lr, weight_decay, momentum, batch_size: as published.
+        epochs: as published; None where a milestone says how long ("warm-up-stable-decay").
+        schedule: "constant", "step", "cosine", "one-cycle", "plateau", "warm-up-stable-decay";
+            ``schedule_options`` as the harness's ``benchmark.protocol.schedule`` takes them.
         label_smoothing: ε, spread over all K classes (torch's sense) or, with
             ``smoothing_over_others``, over the K − 1 others (DGCNN's).
         clip_norm: global gradient norm, or None.
@@ -39,7 +40,7 @@ class Recipe:
     weight_decay: float = 0.0
     momentum: float = 0.9
     batch_size: int = 32
-    epochs: int = 200
+    epochs: int | None = 200
     schedule: str = "constant"
     schedule_options: Mapping[str, Any] = field(default_factory=dict)
     label_smoothing: float = 0.0
@@ -48,21 +49,21 @@ class Recipe:
     notes: str = ""
 
 
-SHORT_RECIPE: Mapping[str, Any] = {
-    "optimizer": "adam",
-    "lr": 3e-3,
-    "weight_decay": 0.0,
+COMMON_RECIPE: Mapping[str, Any] = {
+    "optimizer": "adamw",
+    "lr": 1e-3,
+    "weight_decay": 0.01,
     "batch_size": 32,
-    "epochs": 8,
-    "schedule": "one-cycle",
+    "epochs": None,
+    "schedule": "warm-up-stable-decay",
     "schedule_options": {},
     "label_smoothing": 0.1,
     "smoothing_over_others": False,
 }
-"""What a protocol of short trainings changes about every published recipe, the same for all.
+"""What the common recipe changes about every published one, the same for all.
 
-Published schedules are made for hundreds of epochs. Squeezed into a few, PointNet's staircase stops
-learning before it has begun.
+Published schedules are made for hundreds of epochs and cannot be gone on with. Squeezed into a few,
+PointNet's staircase stops learning before it has begun.
 """
 
 
@@ -79,7 +80,8 @@ class ModelCard:
         invariances: claimed of the class logits: "permutation", "rotation" (any), both or none.
         parameters: {num_classes: count}.
         recipe: published training recipe.
-        short: what this model changes about ``SHORT_RECIPE``.
+        common: what this model changes about ``COMMON_RECIPE``, such as the rate that its trials
+            on the validation split chose.
         published: "module:convert" from a published state dict to ours, or "" where there is none.
         paper_scores: the paper's table 1: {"pm40": 68.8, "ps15": …, "pm40>ps15": …, …}.
         choices: what the publication leaves open and how it is settled here.
@@ -96,7 +98,7 @@ class ModelCard:
     invariances: frozenset[str] = frozenset()
     parameters: Mapping[int, int] = field(default_factory=dict)
     recipe: Recipe = field(default_factory=Recipe)
-    short: Mapping[str, Any] = field(default_factory=dict)
+    common: Mapping[str, Any] = field(default_factory=dict)
     published: str = ""
     paper_scores: Mapping[str, float] = field(default_factory=dict)
     choices: tuple[str, ...] = ()

@@ -11,8 +11,6 @@ is this project's own.
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, nll_loss
@@ -21,7 +19,6 @@ from baselines.points import full_precision
 from papnet.steered.descriptor import Describe, Descriptor
 from papnet.steered.head import InvariantHead, JointHead, num_joint_weights
 from papnet.steered.poses import pose_grid, share_of_bins
-from papnet.steered.stretch import stretched
 from partialbench.benchmark.prediction import Batch, Prediction
 from partialbench.errors import InputError
 
@@ -41,7 +38,6 @@ class PAPNetSteered(nn.Module):
         poses: how many poses are tried: the 60 bins, or 360 with the rotations between them.
         concentration: κ of the soft target, which falls with the angle θ from the label as
             exp(2κ·cos θ); 3 halves it at 28°, as far as a label can be from the grid of 360.
-        stretch: see ``stretch.stretched``; in training only.
     """
 
     def __init__(
@@ -55,16 +51,14 @@ class PAPNetSteered(nn.Module):
         pose_weight: float = 0.3,
         poses: int = 360,
         concentration: float = 3.0,
-        stretch: float = 1.25,
     ) -> None:
         super().__init__()
-        _check(lmax, channels, width, k, stretch)
+        _check(lmax, channels, width, k)
         if pose_weight < 0:
             raise InputError(f"pose_weight must not be negative, got {pose_weight}")
         if concentration <= 0:
             raise InputError(f"concentration must be positive, got {concentration}")
         self.pose_weight, self.concentration = pose_weight, concentration
-        self.stretch = stretch
         self.describe = Describe(lmax, channels, width, k)
         self.head = JointHead(channels, width, lmax, HIDDEN, num_classes, poses)
         self.poses: Tensor
@@ -109,7 +103,7 @@ class PAPNetSteered(nn.Module):
 
     def training_loss(self, batch: Batch) -> Tensor:
         """CE of the class + λ·CE of (soft pose, class), a scalar."""
-        joint = self.joint(stretched(batch, self.stretch))
+        joint = self.joint(batch.points)
         loss = nll_loss(joint.logsumexp(1), batch.label)
         if self.pose_weight:
             of_label = joint[torch.arange(len(joint), device=joint.device), :, batch.label]
@@ -126,7 +120,6 @@ class PAPNetSteeredNoPose(nn.Module):
     Args:
         num_classes: K.
         lmax, channels, width, k: as of ``PAPNetSteered``.
-        stretch: the same, but none by default: it takes the pose of the label to know the axes.
     """
 
     def __init__(
@@ -137,11 +130,9 @@ class PAPNetSteeredNoPose(nn.Module):
         channels: int = 96,
         width: int = 128,
         k: int = 16,
-        stretch: float = 1.0,
     ) -> None:
         super().__init__()
-        _check(lmax, channels, width, k, stretch)
-        self.stretch = stretch
+        _check(lmax, channels, width, k)
         self.describe = Describe(lmax, channels, width, k)
         budget = num_joint_weights(channels, width, lmax, HIDDEN)
         self.head = InvariantHead(channels, width, lmax, TWIN_HIDDEN, num_classes, budget)
@@ -152,7 +143,7 @@ class PAPNetSteeredNoPose(nn.Module):
 
     def training_loss(self, batch: Batch) -> Tensor:
         """CE of the class, a scalar."""
-        logits = self.head(self.describe(stretched(batch, self.stretch)))
+        logits = self.head(self.describe(batch.points))
         return cross_entropy(full_precision(logits), batch.label)
 
 
@@ -161,11 +152,9 @@ def _log_joint(scores: Tensor) -> Tensor:
     return full_precision(scores).flatten(1).log_softmax(1).view_as(scores)
 
 
-def _check(lmax: int, channels: int, width: int, k: int, stretch: float) -> None:
+def _check(lmax: int, channels: int, width: int, k: int) -> None:
     if not 1 <= lmax <= 3:
         raise InputError(f"lmax must be 1, 2 or 3, got {lmax}")
     for name, value in (("channels", channels), ("width", width), ("k", k)):
         if value < 8:
             raise InputError(f"{name} must be at least 8, got {value}")
-    if not 1 <= stretch < math.inf:
-        raise InputError(f"stretch must be 1 (none) or more, got {stretch}")

@@ -80,6 +80,7 @@ def predict(
     if votes < 1:
         raise InputError(f"votes must be at least 1, got {votes}")
     content = checkpoint.load(checkpoint_file)
+    checkpoint.require_finished(content, checkpoint_file, "classify")
     model = checkpoint.build_model(content).to(device)
     if changed := checkpoint.changed_code(content):
         log.warning("%s: %s", checkpoint_file, changed)

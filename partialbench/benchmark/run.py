@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from lightning.fabric import Fabric
 from partialbench.benchmark import models
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.environment import FULL_PRECISION, precision_of
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
-from partialbench.benchmark.protocol.protocol import Protocol
+from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET, Protocol
 from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.results import Result
@@ -25,26 +27,28 @@ from partialbench.benchmark.testing import run as testing
 from partialbench.benchmark.training import checkpoint, finetune
 from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.benchmark.training.train import Task, train
+from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
 
 log = logging.getLogger(__name__)
 
-DEFAULT_PRESET = "mini"
-
 
 def run_eval(
     model: str,
     data: Path | str | None = None,
-    test_data: Path | str | None = None,
+    test_data: Path | str | Sequence[Path | str] | None = None,
     checkpoint_file: Path | str | None = None,
     preset: str = DEFAULT_PRESET,
     seeds: int = 1,
     device: str = "auto",
     results_folder: Path | str = "results",
-    resume: bool = False,
     *,
+    clouds: Sequence[str | int] | None = None,
+    restart: bool = False,
+    runs_folder: Path | str | None = None,
+    should_stop: Callable[[], bool] | None = None,
     first_seed: int = 0,
     start_from: Path | str | None = None,
     precision: str = FULL_PRECISION,
@@ -56,24 +60,31 @@ def run_eval(
     protocol: Mapping[str, Any] | None = None,
     **protocol_overrides: Any,
 ) -> list[Result]:
-    """Trains and tests a model; one record per seed and test set, written as each is done.
+    """Trains and tests a model; one record per milestone, seed and test set, each as it is done.
+
+    Called again it goes on: a finished milestone is not trained again, an interrupted training
+    continues, and a later milestone goes on from the trunk of the earlier ones.
 
     Args:
         model: registered name, or a user's "module:factory" in the current folder.
         data: folder of ``partialbench render``: trained on its train split, tested on its test
             split. With a checkpoint, only the test split is used.
-        test_data: another such folder; each seed is tested on its test split as well.
+        test_data: another such folder, or several; tested on their test splits as well.
         checkpoint_file: test these weights instead of training, under the protocol they were
             trained by: what would change a training is an error then.
-        preset: "smoke", "small", "mini", "equal" or "paper"; ``protocol`` and
-            ``protocol_overrides`` change its fields (``epochs=2``), which makes it another
-            protocol.
+        preset: "smoke", "board" or "paper"; ``protocol`` and ``protocol_overrides`` change its
+            fields (``num_points=512``), which makes it another protocol.
+        clouds: the milestones to train to, as ``milestones.parse`` takes them: [25_000, "100k"].
+            By default those of the preset. A published recipe has one, the most clouds it may see.
+        restart: delete what there is of these trainings and begin from the seed.
+        runs_folder: of the trainings; "runs" in the results folder by default.
+        should_stop: asked after every training step; where it says so the state is saved and
+            ``TimeLimitError`` raised.
         seeds: how many, counted from ``first_seed``.
         start_from: checkpoint of a finished training of this model, whose weights each training
             begins from (fine-tuning); makes another row.
         device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
-        resume: continue interrupted seeds; a finished training is not repeated.
-        checkpoint_every: save every so many steps, besides after every epoch.
+        checkpoint_every: save every so many steps, besides every few minutes.
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
         test_points: test on clouds of so many points too, beside the number trained on.
         test_poses: test with the pose given too, see ``given_pose.parse``: "0" or 0 for the true
@@ -85,8 +96,12 @@ def run_eval(
 
     Raises:
         InputError: anything about the arguments or files.
+        TimeLimitError: see ``should_stop``.
     """
     results_folder = Path(results_folder)
+    runs_folder = results_folder / "runs" if runs_folder is None else Path(runs_folder)
+    given = [data, *([test_data] if isinstance(test_data, Path | str) else test_data or ())]
+    folders = [folder for folder in given if folder is not None]
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     if checkpoint_file is not None:
@@ -97,7 +112,7 @@ def run_eval(
         asked = {
             "--recipe": recipe, "--protocol": protocol or protocol_overrides,
             "--seeds": seeds != 1, "--first-seed": first_seed,
-            "--precision": precision != FULL_PRECISION,
+            "--precision": precision != FULL_PRECISION, "--clouds": clouds, "--restart": restart,
         }  # fmt: skip
         unused = [name for name, given in asked.items() if given]
         if unused:
@@ -105,7 +120,6 @@ def run_eval(
                 f"--checkpoint tests finished weights, so {', '.join(unused)} would have no "
                 f"effect; leave it out, or train without --checkpoint"
             )
-        folders = [folder for folder in (data, test_data) if folder is not None]
         return _test_checkpoint(
             model, Path(checkpoint_file), folders, preset, test_points, poses, options or {},
             fabric, results_folder,
@@ -120,12 +134,12 @@ def run_eval(
     if fabric.device.type == "cpu":
         keep_freed_memory()
     followed = protocols.protocol(preset, **{**(protocol or {}), **protocol_overrides})
+    goals = milestones_of(followed, clouds)
     card = models.card_of(model)
     own = recipes.of_protocol(card, followed)
     changed = recipes.changes(own, recipe or {})
     used = recipes.override(own, recipe or {})
     train_set = ShardDataset(data, "train", followed.num_points)
-    folders = [folder for folder in (data, test_data) if folder is not None]
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
     if poses:  # before a training that could not be tested so
         fresh = models.create(model, len(train_set.class_names), options)
@@ -135,22 +149,46 @@ def run_eval(
     start = None if start_from is None else finetune.load(start_from, model)
     origin = None if start is None else start.origin
     variant = describe_changes(changed, options or {}, origin, precision_of(fabric))
-    for seed in range(first_seed, first_seed + seeds):
-        task = make_task(
-            model, train_set, followed, used, seed, dict(options or {}), variant, start
-        )
-        if "epochs" in (recipe or {}):
-            followed.require_epochs(used, len(task.train_rows))
-        folder = results_folder / "runs" / run_folder(task)
-        log.info("training %s, seed %d, in %s", task.model, seed, folder)
-        trained = train(task, fabric, folder, resume, checkpoint_every)
-        if fabric.is_global_zero:
-            content = checkpoint.load(folder / "checkpoint.pt")
-            written += testing.run_tests(
-                content, trained.model, test_sets, poses, fabric, results_folder
-            )
-        fabric.barrier()
+    tasks = [
+        make_task(model, train_set, followed, used, seed, dict(options or {}), variant, start)
+        for seed in range(first_seed, first_seed + seeds)
+    ]
+    for task in tasks:
+        for goal in goals:  # before anything is trained or deleted
+            milestones.plan(followed, used, goal, len(task.train_rows))
+        if restart and fabric.is_global_zero:
+            shutil.rmtree(runs_folder / run_folder(task), ignore_errors=True)
+    fabric.barrier()
+    # The nearest milestone of every seed first: a table that is stopped is even.
+    for goal in goals:
+        for task in tasks:
+            folder = runs_folder / run_folder(task)
+            log.info("training %s, seed %d, to %d clouds in %s", model, task.seed, goal, folder)
+            trained = train(task, fabric, folder, goal, checkpoint_every, should_stop)
+            if fabric.is_global_zero:
+                content = checkpoint.load(RunFolder(folder).branch(goal))
+                written += testing.run_tests(
+                    content, trained.model, test_sets, poses, fabric, results_folder
+                )
+            fabric.barrier()
     return written
+
+
+def milestones_of(protocol: Protocol, clouds: Sequence[str | int] | None) -> tuple[int, ...]:
+    """Those that are asked for, or the preset's, ascending.
+
+    Raises:
+        InputError: what is not a number of clouds, or more than one under published recipes.
+    """
+    if clouds is None:
+        return protocols.default_clouds(protocol)
+    goals = milestones.ordered(clouds)
+    if protocol.recipe == "published" and len(goals) > 1:
+        raise InputError(
+            f"published recipes have one schedule over their whole length and no milestones on the "
+            f"way, got {', '.join(map(milestones.name, goals))}; give one number of clouds"
+        )
+    return goals
 
 
 def make_task(
@@ -164,6 +202,7 @@ def make_task(
     start: finetune.Start | None = None,
 ) -> Task:
     """The training a protocol prescribes on a train split."""
+    recipes.require_fits(recipe, protocol)
     if start is not None:
         finetune.check_split(start, train_set.dataset_id, protocol)
     train_rows, validation_rows = split_by_object(
@@ -206,11 +245,7 @@ def _test_checkpoint(
     content = checkpoint.load(path)
     if content["model"] != model_name:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model_name!r}")
-    if "summary" not in content:
-        raise InputError(
-            f"{path} is of an unfinished training (epoch {content['epoch']}); finish it with "
-            f"--resume, the protocol reports the last epoch only"
-        )
+    checkpoint.require_finished(content, path, "be tested")
     trained_by = content["protocol"]["preset"].removesuffix("+")
     if preset not in (DEFAULT_PRESET, trained_by):
         raise InputError(

@@ -7,16 +7,24 @@ of the table can see that each model was given as many.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from partialbench.benchmark import models
 from partialbench.benchmark.environment import FULL_PRECISION, precision_of
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET
 from partialbench.benchmark.records.trials import FILE, Trial, add_trial
-from partialbench.benchmark.run import describe_changes, make_fabric, make_task, run_folder
+from partialbench.benchmark.run import (
+    describe_changes,
+    make_fabric,
+    make_task,
+    milestones_of,
+    run_folder,
+)
 from partialbench.benchmark.training import finetune
 from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.benchmark.training.train import train
@@ -30,11 +38,14 @@ def tune(
     model: str,
     data: Path | str,
     tries: Sequence[Mapping[str, Any]],
-    preset: str = "mini",
+    preset: str = DEFAULT_PRESET,
     seed: int = 0,
     device: str = "auto",
     results_folder: Path | str = "results",
     *,
+    clouds: str | int | None = None,
+    runs_folder: Path | str | None = None,
+    should_stop: Callable[[], bool] | None = None,
     start_from: Path | str | None = None,
     precision: str = FULL_PRECISION,
     options: Mapping[str, Any] | None = None,
@@ -45,8 +56,9 @@ def tune(
     Interrupted, the same call continues; a finished trial is not repeated.
 
     Args:
-        model, data, preset, device, start_from, precision, options, protocol: as ``run_eval`` takes
-            them.
+        model, data, preset, device, runs_folder, should_stop, start_from, precision, options,
+            protocol: as ``run_eval`` takes them.
+        clouds: the milestone at which recipes are compared; the preset's by default.
         tries: fields of the recipe to change, one mapping a trial; {} is the recipe as it is.
         seed: of every trial.
 
@@ -60,6 +72,7 @@ def tune(
     if not tries:
         raise InputError("nothing to try: give at least one recipe, e.g. --try lr=0.001")
     results_folder = Path(results_folder)
+    runs_folder = results_folder / "runs" if runs_folder is None else Path(runs_folder)
     fabric = make_fabric(device, precision)
     if fabric.device.type == "cpu":
         keep_freed_memory()
@@ -67,6 +80,7 @@ def tune(
     if followed.validation_fraction == 0:
         raise InputError("validation_fraction is 0: there is nothing to choose on")
     train_set = ShardDataset(data, "train", followed.num_points)
+    *_, goal = milestones_of(followed, None if clouds is None else [clouds])
     own = recipes.of_protocol(models.card_of(model), followed)
     chosen = dict(options or {})
     start = None if start_from is None else finetune.load(start_from, model)
@@ -76,14 +90,13 @@ def tune(
         recipe = recipes.override(own, changes)
         variant = describe_changes(recipes.changes(own, changes), chosen, origin, bits)
         task = make_task(model, train_set, followed, recipe, seed, chosen, variant, start)
-        if "epochs" in changes:
-            followed.require_epochs(recipe, len(task.train_rows))
+        milestones.plan(followed, recipe, goal, len(task.train_rows))
         tasks.append(task)
     trials = []
     for changes, task in zip(tries, tasks, strict=True):
-        folder, tried = results_folder / "runs" / run_folder(task), describe_changes(changes, {})
+        folder, tried = runs_folder / run_folder(task), describe_changes(changes, {})
         log.info("trying %s in %s", tried or "the recipe as it is", folder)
-        summary = train(task, fabric, folder, resume=True).summary
+        summary = train(task, fabric, folder, goal, should_stop=should_stop).summary
         trial = Trial(
             model, describe_changes({}, chosen, origin, bits), tried, seed, train_set.digest,
             followed.digest, summary["clouds_seen"], summary["train_loss"],

@@ -16,17 +16,13 @@ from partialbench.console import Json, continued_by, print_result, stdout
 
 commands = typer.Typer()
 
-HOW_MUCH = (
-    "how much: a minute; eight passes; real use; eight passes for all models, on clouds as in "
-    "tests; the paper's scale"
-)
+HOW_MUCH = "a minute; the table's, one recipe for all; the paper's scale, published recipes"
+CLOUDS = "clouds to train to: 100k, or several: 25k,100k (repeatable)"
 
 
 class Preset(StrEnum):
     smoke = "smoke"
-    small = "small"
-    mini = "mini"
-    equal = "equal"
+    board = "board"
     paper = "paper"
 
 
@@ -51,6 +47,7 @@ def models(as_json: Json = False) -> None:
 @commands.command(
     name="eval",
     epilog="Examples: `partialbench eval --model pointnet --data data/pm40` · "
+    "`partialbench eval --model pointnet --data data/pm40 --clouds 400k` (goes on from the 100k) · "
     "`partialbench eval --model my_model:make --data data/pm40 --preset smoke` · "
     "`partialbench eval --model pointnet --data data/mine --start-from "
     "results/runs/…/checkpoint.pt --recipe lr=0.001`",
@@ -70,18 +67,22 @@ def evaluate(
     start_from: Annotated[
         Path | None, typer.Option(help="fine-tune: begin from the weights of this checkpoint")
     ] = None,
-    preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.mini,
+    preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.board,
+    clouds: Annotated[list[str] | None, typer.Option(help=CLOUDS)] = None,
     seeds: Annotated[int, typer.Option(help="how many trainings, one record each")] = 1,
     first_seed: Annotated[int, typer.Option(help="count seeds from here")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     precision: Annotated[str, typer.Option(help="of training: 32-true, bf16-mixed")] = "32-true",
     results: Annotated[Path, typer.Option(help="where records go")] = Path("results"),
-    resume: Annotated[bool, typer.Option(help="continue interrupted trainings")] = False,
+    restart: Annotated[
+        bool,
+        typer.Option(help="train from the seed again; without it, what was begun is gone on with"),
+    ] = False,
     checkpoint_every: Annotated[
-        int | None, typer.Option(help="save every so many steps too, not only after each epoch")
+        int | None, typer.Option(help="save every so many steps too, not only every few minutes")
     ] = None,
     protocol: Annotated[
-        list[str] | None, typer.Option(help="change a protocol field: epochs=2, num_points=256")
+        list[str] | None, typer.Option(help="change a protocol field: num_points=512")
     ] = None,
     test_points: Annotated[
         list[int] | None, typer.Option(help="test on clouds of so many points too (repeatable)")
@@ -100,13 +101,18 @@ def evaluate(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Train a model under the protocol and test it; one record per seed and test set."""
+    """Train a model under the protocol and test it; one record per milestone, seed and test set.
+
+    Run again, it goes on: with an interrupted training, or to a later milestone.
+    """
+    from partialbench.benchmark.protocol import milestones
     from partialbench.benchmark.run import run_eval
 
-    with continued_by("the same command with --resume"):
+    with continued_by("the same command"):
         done = run_eval(
-            model, data, test_data, checkpoint, preset.value, seeds, device, results, resume,
-            first_seed=first_seed, start_from=start_from, precision=precision,
+            model, data, test_data, checkpoint, preset.value, seeds, device, results,
+            clouds=_clouds(clouds), restart=restart, first_seed=first_seed,
+            start_from=start_from, precision=precision,
             checkpoint_every=checkpoint_every, test_points=test_points or (),
             test_poses=test_pose or (), recipe=arguments.pairs(recipe),
             options=arguments.pairs(option), protocol=arguments.pairs(protocol),
@@ -118,16 +124,25 @@ def evaluate(
         what = [result.test_data.setting, *map(" ".join, result.conditions.items())]
         tested = f"{result.test_data.id} ({', '.join(what)})"
         accuracy = result.scores["accuracy"]
-        print(f"{result.row}, seed {result.seed}, on {tested}: accuracy {accuracy:.1%}")
+        seen = milestones.name(result.training["clouds"])
+        print(
+            f"{result.row}, {seen} clouds, seed {result.seed}, on {tested}: accuracy {accuracy:.1%}"
+        )
     if done:  # among several processes only the first has results
         print(
             f"records in {results}; 'partialbench leaderboard --results {results}' makes the table"
         )
 
 
+def _clouds(given: list[str] | None) -> tuple[int, ...] | None:
+    from partialbench.benchmark.protocol import milestones
+
+    return milestones.parse_several(given) if given else None
+
+
 @commands.command(
     epilog="Example: `partialbench tune --model dgcnn --data data/pm40 --try lr=0.001 "
-    "--try lr=0.003 --try lr=0.01 --protocol clouds_seen=24000`"
+    "--try lr=0.002 --try lr=0.004 --clouds 50k`"
 )
 def tune(
     model: Annotated[
@@ -138,7 +153,8 @@ def tune(
         list[str],
         typer.Option("--try", help="a recipe: lr=0.01, or lr=0.01,batch_size=16 (repeatable)"),
     ],
-    preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.mini,
+    preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.board,
+    clouds: Annotated[str | None, typer.Option(help="clouds of a trial: 50k")] = None,
     start_from: Annotated[
         Path | None, typer.Option(help="each trial begins from the weights of this checkpoint")
     ] = None,
@@ -147,7 +163,7 @@ def tune(
     precision: Annotated[str, typer.Option(help="of training: 32-true, bf16-mixed")] = "32-true",
     results: Annotated[Path, typer.Option(help="where tuning.csv goes")] = Path("results"),
     protocol: Annotated[
-        list[str] | None, typer.Option(help="change a protocol field: clouds_seen=24000")
+        list[str] | None, typer.Option(help="change a protocol field: num_points=512")
     ] = None,
     option: Annotated[list[str] | None, typer.Option(help="for the model: k=5")] = None,
     as_json: Json = False,
@@ -159,8 +175,8 @@ def tune(
     recipes = [arguments.pairs(arguments.parts(one)) for one in tries]
     with continued_by("the same command"):
         trials = compare(
-            model, data, recipes, preset.value, seed, device, results, start_from=start_from,
-            precision=precision, options=arguments.pairs(option),
+            model, data, recipes, preset.value, seed, device, results, clouds=clouds,
+            start_from=start_from, precision=precision, options=arguments.pairs(option),
             protocol=arguments.pairs(protocol),
         )  # fmt: skip
     lines = [f"{t.validation_accuracy:6.1%}  {t.recipe}" for t in trials]

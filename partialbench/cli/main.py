@@ -1,7 +1,7 @@
 """The command line: verbs only. Each parses, calls one public function and prints its result.
 
 stdout carries the result, stderr the log and the progress bar. Exit status: 0 done, 1 failed,
-2 wrong usage, 130 interrupted (what was finished is kept). A file a stage.
+2 wrong usage, 75 out of time, 130 interrupted (what was finished is kept). A file a stage.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ def _root(
 
 
 def main() -> None:
-    """Entry point: turns expected errors into one line on stderr and exit status 1."""
+    """Entry point: turns expected errors into one line on stderr and an exit status."""
     # A user's own model lives in the folder they stand in.
     sys.path.insert(0, os.getcwd())
     try:
         app()
     except PartialbenchError as error:
         stderr.print(f"[bold red]error:[/] {_escaped(str(error))}")
-        sys.exit(1)
+        sys.exit(error.exit_status)
 
 
 def _escaped(text: str) -> str:

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from partialbench.dataset.seeding import generator
 from partialbench.geometry.rotations import axis_rotation
 from renderers.rooms.appliances import FAMILIES as APPLIANCES
-from renderers.shapes.family import make
+from renderers.shapes.catalogue import make
 from renderers.sources.scannet.scan2cad import R_canonical_cad
 from renderers.whole import sample_surface
 
@@ -111,7 +111,7 @@ def make_cad(class_name: str, index: int, seed: int) -> Cad:
 
     Args:
         class_name: one of PS15's.
-        index, seed: as ``renderers.shapes.family.make`` takes them.
+        index, seed: as ``renderers.shapes.catalogue.make`` takes them.
     """
     if class_name in APPLIANCES:
         shape = APPLIANCES[class_name].mesh(index, seed)

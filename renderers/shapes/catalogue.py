@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import difflib
 
+import trimesh
+
 from partialbench.dataset.categories import MODELNET40
 from partialbench.errors import InputError
 from renderers.shapes import (
@@ -93,3 +95,19 @@ def family_of(class_name: str) -> Family:
     near = difflib.get_close_matches(class_name, FAMILIES, n=3)
     hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(FAMILIES)}"
     raise InputError(f"no shape family named {class_name!r}: {hint}")
+
+
+def make(class_name: str, index: int, seed: int = 0) -> trimesh.Trimesh:
+    """One object, a pure function of its arguments, bit by bit.
+
+    Args:
+        class_name: a ModelNet40 class.
+        index: any whole number; `source.ParametricShapes` says which indices are test objects.
+
+    Returns:
+        A mesh in the class's aligned frame (z up), bounding-box centre at the origin, unit ball.
+
+    Raises:
+        InputError: there is no family of that name.
+    """
+    return family_of(class_name).mesh(index, seed)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.shards import write_atomically
 from partialbench.geometry.rotations import axis_rotation
-from renderers.shapes.catalogue import FAMILIES
-from renderers.shapes.family import Family, make
+from renderers.shapes.catalogue import FAMILIES, make
+from renderers.shapes.family import Family
 from renderers.shapes.solids import Solid, join
 from renderers.variants import activate
 

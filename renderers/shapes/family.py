@@ -137,21 +137,3 @@ def _with_area(
     """
     a, b, c = vertices[faces].transpose(1, 0, 2)
     return faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0.5 * unit**2]
-
-
-def make(class_name: str, index: int, seed: int = 0) -> trimesh.Trimesh:
-    """One object, a pure function of its arguments, bit by bit.
-
-    Args:
-        class_name: a ModelNet40 class.
-        index: any whole number; `source.ParametricShapes` says which indices are test objects.
-
-    Returns:
-        A mesh in the class's aligned frame (z up), bounding-box centre at the origin, unit ball.
-
-    Raises:
-        InputError: there is no family of that name.
-    """
-    from renderers.shapes.catalogue import family_of  # the catalogue imports every family
-
-    return family_of(class_name).mesh(index, seed)

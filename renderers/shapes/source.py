@@ -10,8 +10,8 @@ import trimesh
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError
-from renderers.shapes.catalogue import FAMILIES
-from renderers.shapes.family import GENERATION, make
+from renderers.shapes.catalogue import FAMILIES, make
+from renderers.shapes.family import GENERATION
 
 MODELNET40_COUNTS: dict[str, tuple[int, int]] = {
     "airplane": (626, 100), "bathtub": (106, 50), "bed": (515, 100), "bench": (173, 20),

@@ -65,7 +65,7 @@ def test_every_row_knows_what_its_object_was_made_from(folder):
 
 
 def test_the_record_has_the_scores_with_and_without_them(folder, tmp_path):
-    small = {"preset": "smoke", "device": "cpu", "num_points": 64, "epochs": 1,
+    small = {"preset": "smoke", "device": "cpu", "num_points": 64, "clouds": [64],
              "max_train_clouds": None, "max_test_clouds": None}  # fmt: skip
     (record,) = run_eval(
         "tests.benchmark.tiny_models:Bare", folder, results_folder=tmp_path / "a", **small
@@ -81,7 +81,7 @@ def test_the_record_has_the_scores_with_and_without_them(folder, tmp_path):
         stored.labels[~known], stored.predicted[~known], 3
     )
     # A checkpoint remembers what it was trained on: no training data are needed to test it.
-    (weights,) = (tmp_path / "a" / "runs").glob("*/checkpoint.pt")
+    (weights,) = (tmp_path / "a" / "runs").glob("*/branch-*/checkpoint.pt")
     (again,) = run_eval(
         record.model, folder, checkpoint_file=weights, device="cpu", results_folder=tmp_path / "b"
     )

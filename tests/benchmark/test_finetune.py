@@ -22,7 +22,7 @@ STILL = {"recipe": {"lr": 0.0, "optimizer": "sgd", "weight_decay": 0.0}}
 
 @pytest.fixture(scope="module")
 def weights(done):
-    return next((done[1] / "runs").glob("*toy-*seed1")) / "checkpoint.pt"
+    return next((done[1] / "runs").glob("*toy-*seed1/branch-*/checkpoint.pt"))
 
 
 def tune(data, weights, folder, **more):
@@ -32,7 +32,7 @@ def tune(data, weights, folder, **more):
 
 
 def trained(folder):
-    return checkpoint.load(next((folder / "runs").glob("*/checkpoint.pt")))
+    return checkpoint.load(next((folder / "runs").glob("*/branch-*/checkpoint.pt")))
 
 
 def test_it_begins_with_the_weights(data, weights, tmp_path):
@@ -57,7 +57,7 @@ def test_a_row_and_a_record_of_their_own(data, weights, tmp_path):
 
 def test_the_chain_of_starts_is_counted(data, weights, tmp_path):
     tune(data, weights, tmp_path / "once")
-    once = next((tmp_path / "once" / "runs").glob("*/checkpoint.pt"))
+    once = next((tmp_path / "once" / "runs").glob("*/branch-*/checkpoint.pt"))
     (record,) = tune(data, once, tmp_path / "twice")
     assert clouds_before(record.training["start"]) == 128
     assert "trained on 128 clouds" in record.deviations[-1]
@@ -92,7 +92,7 @@ def test_resumed_it_ends_the_same(data, weights, tmp_path):
 
 def test_its_checkpoint_is_tested_as_the_same_row(data, weights, tmp_path):
     (record,) = tune(data, weights, tmp_path)
-    path = next((tmp_path / "runs").glob("*/checkpoint.pt"))
+    path = next((tmp_path / "runs").glob("*/branch-*/checkpoint.pt"))
     (again,) = run_eval(
         f"{MODELS}:Posed", data, checkpoint_file=path, device="cpu", results_folder=tmp_path / "b"
     )

@@ -117,7 +117,7 @@ def test_the_command_tells_trained_weights_a_pose(data, tmp_path):
     options = {"grid": 16, "variant": "predicted"}
     small = {**SMALL, "max_train_clouds": 16, "max_test_clouds": 8}
     run_eval("papnet", data, results_folder=tmp_path, options=options, **small)
-    (weights,) = (tmp_path / "runs").glob("*/checkpoint.pt")
+    (weights,) = (tmp_path / "runs").glob("*/branch-*/checkpoint.pt")
     ran = CliRunner().invoke(
         app,
         ["eval", "--model", "papnet", "--checkpoint", str(weights), "--data", str(data),

@@ -13,7 +13,7 @@ from partialbench import registry
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.run import run_eval
-from partialbench.benchmark.training.train import WithLoss
+from partialbench.benchmark.training.loop import WithLoss
 from partialbench.geometry.rotations import haar_rotations
 from tests.benchmark.tiny_models import MODELS, SMALL
 
@@ -97,7 +97,7 @@ def test_a_training_begun_there_ends_here(data, tmp_path):
         f"{MODELS}:Posed", data, results_folder=tmp_path, **{**SMALL, "device": DEVICE}
     )
     assert made.environment["device"] == torch.cuda.get_device_name(0)
-    (checkpoint,) = (tmp_path / "runs").glob("*/checkpoint.pt")
+    (checkpoint,) = (tmp_path / "runs").glob("*/branch-*/checkpoint.pt")
     (again,) = run_eval(
         f"{MODELS}:Posed", data, checkpoint_file=checkpoint, results_folder=tmp_path / "cpu",
         device="cpu",

@@ -19,7 +19,7 @@ from tests.benchmark.memory_clouds import MemoryClouds
 
 @pytest.fixture(scope="module")
 def weights(done) -> Path:
-    return next((done[1] / "runs").glob("*seed0")) / "checkpoint.pt"
+    return next((done[1] / "runs").glob("*seed0/branch-*/checkpoint.pt"))
 
 
 def test_every_cloud_format_gives_the_same_answer(weights, tmp_path):

@@ -99,7 +99,7 @@ def test_a_field_of_the_protocol_may_be_called_as_an_argument_is(data, tmp_path)
 def test_the_same_weights_on_clouds_of_other_sizes(done, data, tmp_path):
     """One record each; only those of the size trained on are of the table's column."""
     written, folder = done
-    (weights,) = (folder / "runs").glob("*seed0/checkpoint.pt")
+    (weights,) = (folder / "runs").glob("*seed0/branch-*/checkpoint.pt")
     found = run_eval(
         f"{MODELS}:Posed", data, checkpoint_file=weights, device="cpu", results_folder=tmp_path,
         test_points=[16, 32, 64],
@@ -118,7 +118,7 @@ def test_the_same_weights_on_clouds_of_other_sizes(done, data, tmp_path):
 
 def test_a_checkpoint_tested_alone_gives_the_same_record(done, data, tmp_path):
     first, folder = done[0][0], done[1]
-    weights = next((folder / "runs").glob("*seed0")) / "checkpoint.pt"
+    weights = next((folder / "runs").glob("*seed0/branch-*/checkpoint.pt"))
     (again,) = run_eval(
         first.model, data, checkpoint_file=weights, device="cpu", results_folder=tmp_path
     )
@@ -146,7 +146,7 @@ def test_options_that_weights_do_not_depend_on_can_be_changed_for_a_test(data, t
         )[0]
         for variant in ("predicted", "predicted-ensemble")
     )  # fmt: skip
-    (weights,) = (tmp_path / "predicted" / "runs").glob("*/checkpoint.pt")
+    (weights,) = (tmp_path / "predicted" / "runs").glob("*/branch-*/checkpoint.pt")
 
     def with_options(**options):
         return run_eval(
@@ -165,7 +165,7 @@ def test_options_that_weights_do_not_depend_on_can_be_changed_for_a_test(data, t
 
 def test_resuming_a_finished_evaluation_changes_no_prediction(done, data, other):
     written, folder = done
-    weights = sorted((folder / "runs").glob("*/checkpoint.pt"))
+    weights = sorted((folder / "runs").glob("*/branch-*/checkpoint.pt"))
     before = [w.read_bytes() for w in weights]
     again = run_eval(
         f"{MODELS}:Posed", data, other, seeds=2, results_folder=folder, resume=True, **SMALL
@@ -213,7 +213,7 @@ def test_wrong_arguments_are_named(data, tmp_path, arguments, message):
 
 
 def test_weights_are_tested_as_they_were_trained_or_not_at_all(done, data, tmp_path):
-    path = next((done[1] / "runs").glob("*seed1")) / "checkpoint.pt"
+    path = next((done[1] / "runs").glob("*seed1/branch-*/checkpoint.pt"))
     same = {"device": "cpu", "results_folder": tmp_path, "checkpoint_file": path}
     for other, message in (
         ({"recipe": {"lr": 0.1}, "seeds": 3}, "--recipe, --seeds would have no effect"),
@@ -233,7 +233,7 @@ def test_another_precision_is_another_row(data, tmp_path):
     ]
     assert [r.variant for r in rows] == ["", "precision=bf16-mixed"]
     assert len(results.read_folder(tmp_path)) == 2
-    path = next((tmp_path / "runs").glob("*precision*")) / "checkpoint.pt"
+    path = next((tmp_path / "runs").glob("*precision*/branch-*/checkpoint.pt"))
     (again,) = run_eval(
         f"{MODELS}:Bare", data, checkpoint_file=path, device="cpu", options={"width": 16},
         results_folder=tmp_path / "again",
@@ -252,7 +252,7 @@ def test_a_recipe_given_as_it_is_makes_no_other_row(data, tmp_path):
 def test_each_test_set_has_its_own_turned_clouds(done, data, other, tmp_path):
     """They were the first one's, whatever else was tested beside it."""
     beside = next(r for r in done[0] if r.test_data.id == "toy-rooms")
-    path = next((done[1] / "runs").glob("*seed0")) / "checkpoint.pt"
+    path = next((done[1] / "runs").glob("*seed0/branch-*/checkpoint.pt"))
     (alone,) = run_eval(
         f"{MODELS}:Posed", other, checkpoint_file=path, device="cpu", results_folder=tmp_path
     )
@@ -293,7 +293,7 @@ def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(
     write("sum")
     with pytest.raises(ConfigurationMismatchError, match="model_code"):
         train(resume=True)
-    path = next(Path("out/runs").glob("*/checkpoint.pt"))
+    path = next(Path("out/runs").glob("*/branch-*/checkpoint.pt"))
     with pytest.raises(InputError, match="has changed since"):
         run_eval("edited_model:Mine", data, checkpoint_file=path, results_folder="out")
     np.save("cloud.npy", np.eye(3)[np.arange(30) % 3] + np.arange(30)[:, None])

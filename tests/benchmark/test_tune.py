@@ -147,7 +147,9 @@ def test_a_file_that_is_none_is_named(tmp_path):
 
 def test_trials_may_begin_from_weights(done, data, tmp_path):
     """A rate of next to nothing then keeps them."""
-    start = next(path for path in done[1].glob("runs/*/checkpoint.pt") if "batch" in str(path))
+    start = next(
+        path for path in done[1].glob("runs/*/branch-*/checkpoint.pt") if "batch" in str(path)
+    )
     (trial,) = tune(
         MODEL, data, [{"lr": 1e-7}], "mini", device="cpu", results_folder=tmp_path,
         start_from=start, protocol=SHORT,
@@ -155,6 +157,6 @@ def test_trials_may_begin_from_weights(done, data, tmp_path):
     assert trial.options.startswith("start=toy:")
     assert trial.recipe == "lr=1e-07"
     before = checkpoint.load(start)["state"]
-    after = checkpoint.load(next(tmp_path.glob("runs/*/checkpoint.pt")))["state"]
+    after = checkpoint.load(next(tmp_path.glob("runs/*/branch-*/checkpoint.pt")))["state"]
     for name in (name for name in before if name.endswith(("weight", "bias"))):
         torch.testing.assert_close(after[name], before[name], atol=1e-5, rtol=0)

@@ -12,7 +12,7 @@ from partialbench.benchmark.prediction import Prediction
 
 MODELS = __name__
 SMALL = {
-    "preset": "smoke", "device": "cpu", "num_points": 64, "epochs": 1, "max_train_clouds": 200,
+    "preset": "smoke", "device": "cpu", "num_points": 64, "clouds": [64], "max_train_clouds": 200,
     "max_test_clouds": 200,
 }  # fmt: skip
 """Arguments of ``run_eval`` under which they are trained in a second."""

@@ -17,7 +17,6 @@ from papnet.steered.descriptor import Describe, Descriptor
 from papnet.steered.head import JointHead
 from papnet.steered.model import PAPNetSteered, PAPNetSteeredNoPose
 from papnet.steered.poses import pose_grid, share_of_bins
-from papnet.steered.stretch import stretched
 from partialbench.benchmark.prediction import Batch
 from partialbench.errors import InputError
 from partialbench.geometry.bins import NUM_BINS, rotation_bins
@@ -202,7 +201,6 @@ def test_a_given_pose_conditions_the_class() -> None:
 
 def test_the_loss_is_both_cross_entropies() -> None:
     model = copy.deepcopy(posed()).train()
-    model.stretch = 1.0
     label, R, mapped = torch.tensor([1, 0, 6, 3]), turns(4, seed=3), turns(4, seed=4)
     loss = model.training_loss(Batch(clouds(), label, R, mapped))
     joint = copy.deepcopy(posed()).train().joint(clouds()).detach().numpy()
@@ -220,35 +218,6 @@ def test_the_loss_is_both_cross_entropies() -> None:
     assert model.training_loss(Batch(clouds(), label, R, mapped)).item() == pytest.approx(
         class_loss, abs=1e-9
     )
-
-
-def test_stretching_is_along_the_objects_axes_and_within_bounds() -> None:
-    R = turns(4, seed=5)
-    shape = clouds()
-    batch = Batch(shape @ R.mT, torch.arange(4), R, R)
-    torch.manual_seed(0)
-    ratio = (stretched(batch, 1.5) @ R) / shape  # back in the object's frame
-    factors = ratio.nanmedian(1, keepdim=True).values
-    exact = torch.where(shape.abs() > 1e-6, ratio, factors)
-    torch.testing.assert_close(exact, factors.expand_as(exact))
-    assert factors.shape == (4, 1, 3)
-    assert factors.min() > 1 / 1.5
-    assert factors.max() < 1.5
-    assert factors.std() > 0.1
-    assert stretched(batch, 1.0) is batch.points
-
-
-def test_the_loss_is_of_stretched_clouds_where_asked_for() -> None:
-    R = turns(4, seed=3)
-    batch = Batch(clouds(), torch.tensor([1, 0, 6, 3]), R, R)
-    for made in (posed, poseless):
-        losses = []
-        for most in (1.0, 1.0, 1.5):
-            model = copy.deepcopy(made()).train()
-            model.stretch = most
-            losses.append(model.training_loss(batch).item())
-        assert losses[0] == losses[1] != pytest.approx(losses[2], abs=1e-4)
-    assert (PAPNetSteered(3).stretch, PAPNetSteeredNoPose(3).stretch) == (1.25, 1.0)
 
 
 def test_pose_and_class_are_learned_together() -> None:

@@ -16,8 +16,8 @@ from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import axis_rotation
 from partialbench.geometry.symmetry import CLASS_SYMMETRY, GROUPS
-from renderers.shapes.catalogue import FAMILIES, family_of
-from renderers.shapes.family import GRID, MAX_FACES, MIN_FACES, Draw, finish, make
+from renderers.shapes.catalogue import FAMILIES, family_of, make
+from renderers.shapes.family import GRID, MAX_FACES, MIN_FACES, Draw, finish
 from renderers.shapes.solids import Solid, box, join
 
 OBJECTS = range(24)

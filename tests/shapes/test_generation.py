@@ -6,8 +6,8 @@ import hashlib
 
 import numpy as np
 
-from renderers.shapes.catalogue import FAMILIES
-from renderers.shapes.family import GENERATION, make
+from renderers.shapes.catalogue import FAMILIES, make
+from renderers.shapes.family import GENERATION
 
 PINNED = {2: "ac767df9486d591372d9d053905245ef3e65686c5a6c8dc627feca12b32b98d2"}
 """GENERATION → digest of ``fingerprint``; a new entry replaces the old one."""

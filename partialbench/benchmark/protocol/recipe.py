@@ -6,10 +6,12 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol.protocol import Protocol, is_number
+from partialbench.benchmark.protocol.schedule import GROWN
 from partialbench.benchmark.protocol.schedule import check as check_schedule
 from partialbench.errors import InputError
-from partialbench.registry import SHORT_RECIPE, ModelCard, Recipe, close_matches
+from partialbench.registry import COMMON_RECIPE, ModelCard, Recipe, close_matches
 
 OPTIMIZERS = ("adam", "adamw", "muon", "sgd")
 
@@ -22,10 +24,25 @@ def label_smoothing(recipe: Recipe, num_classes: int) -> float:
 
 
 def of_protocol(card: ModelCard, protocol: Protocol) -> Recipe:
-    """The recipe with which a protocol trains a model: the published one or the short one."""
+    """The recipe with which a protocol trains a model: the published one or the common one."""
     if protocol.recipe == "published":
         return card.recipe
-    return override(card.recipe, {**SHORT_RECIPE, **card.short})
+    return override(card.recipe, {**COMMON_RECIPE, **card.common})
+
+
+def require_fits(recipe: Recipe, protocol: Protocol) -> None:
+    """Raises InputError where a recipe's schedule is not of the protocol's kind."""
+    if (recipe.schedule == GROWN) == (protocol.recipe == "common"):
+        return
+    raise InputError(
+        f"the schedule {recipe.schedule!r} does not go with the protocol's recipe="
+        f"{protocol.recipe!r}: "
+        + (
+            f"rows of a table share {GROWN!r}; --preset paper has the published schedules"
+            if protocol.recipe == "common"
+            else "published recipes keep theirs"
+        )
+    )
 
 
 def override(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
@@ -60,7 +77,7 @@ _NUMBERS: dict[str, tuple[str, Callable[[float], bool]]] = {
     "label_smoothing": ("a number in [0, 1)", lambda v: 0 <= v < 1),
     "clip_norm": ("a positive number or null", lambda v: v > 0),
     "batch_size": ("a whole number, 2 or more", lambda v: v >= 2 and v == int(v)),
-    "epochs": ("a positive whole number", lambda v: v >= 1 and v == int(v)),
+    "epochs": ("a positive whole number or null", lambda v: v >= 1 and v == int(v)),
 }
 
 
@@ -68,7 +85,7 @@ def _checked(name: str, value: Any) -> Any:
     """The value of a recipe's field as what it should be; a number may come as another kind."""
     if name in _NUMBERS:
         expected, fits = _NUMBERS[name]
-        if value is None and name == "clip_norm":
+        if value is None and name in ("clip_norm", "epochs"):
             return None
         if not is_number(value) or not fits(value):
             raise InputError(f"{name} of a recipe must be {expected}, got {value!r}")
@@ -94,30 +111,47 @@ def as_dict(recipe: Recipe) -> dict[str, Any]:
     return fields
 
 
-def deviations(published: Recipe, used: Recipe, protocol: Protocol, train_clouds: int) -> list[str]:
-    """What this run changes about the published recipe, one sentence a change."""
+def deviations(
+    published: Recipe, used: Recipe, protocol: Protocol, train_clouds: int, clouds: int
+) -> list[str]:
+    """What this run changes about the published recipe, one sentence a change.
+
+    Args:
+        clouds: the milestone.
+    """
     before, after = as_dict(published), as_dict(used)
-    # How many epochs there are the protocol says too, and it has the last word.
+    # How long a training is the milestone says too, and it has the last word.
     changes = [
         f"{name} {after[name]!r} instead of {before[name]!r}"
         for name in before
         if after[name] != before[name] and name != "epochs"
     ]
-    epochs = protocol.num_epochs(used, train_clouds)
-    if epochs != published.epochs:
+    plan = milestones.plan(protocol, used, clouds, train_clouds)
+    if plan.epochs is None:
         changes.append(
-            f"{epochs} epochs of {train_clouds:,} clouds instead of {published.epochs} epochs; the "
-            f"schedule is scaled to that length"
+            f"{milestones.describe(plan, used, train_clouds)}, instead of {published.epochs} "
+            f"epochs: warm-up over {protocol.warm_up:,} clouds, a constant rate, and a decay to "
+            f"zero over the last fifth"
+        )
+    elif plan.epochs != published.epochs:
+        changes.append(
+            f"{plan.epochs} epochs of {train_clouds:,} clouds instead of {published.epochs} "
+            f"epochs; the schedule is scaled to that length"
         )
     if used.batch_size > train_clouds:
         changes.append(f"batches of {train_clouds} clouds, all there are, not {used.batch_size}")
     turn = "random rotation" if protocol.rotation == "so3" else "no rotation"
+    stretch = (
+        f"stretched by up to {protocol.stretch:g} along the object's axes"
+        if protocol.stretch > 1 else "no stretching"
+    )  # fmt: skip
     jitter = (
         f"jitter {protocol.jitter_sigma:g} clipped at {protocol.jitter_clip:g}"
         if protocol.jitter_sigma else "no jitter"
     )  # fmt: skip
     changes.append(
-        f"the protocol's augmentation instead of the published one: {turn}, {jitter}, a random "
+        f"the protocol's augmentation instead of the published one: {turn}, {stretch}, {jitter}, a "
+        f"random "
         f"{protocol.num_points} of the {protocol.subset} points"
     )
     return changes

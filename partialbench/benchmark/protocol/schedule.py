@@ -3,7 +3,8 @@
 A recipe says "×0.7 every 20 epochs" of its own 200. Under a protocol that trains for fewer epochs
 the same curve is run through faster: at progress p in [0, 1] the value is the recipe's at its
 epoch p·E. Samples are counted as on ModelNet40, 9,840 training objects an epoch, where recipes in
-samples come from. Options (``Recipe.schedule_options``):
+samples come from. The common recipe's "warm-up-stable-decay" has no time of its own: its milestone
+says the steps (``milestones``). Options (``Recipe.schedule_options``):
 
 - step: ``gamma`` with one of ``every_epochs``, ``every_samples``, ``milestones`` (epochs);
   ``floor``, the lowest rate.
@@ -11,8 +12,10 @@ samples come from. Options (``Recipe.schedule_options``):
 - one-cycle: ``pct_start`` 0.3, ``div_factor`` 25, ``final_div_factor`` 1e4, ``torch``'s formula
   with cosine annealing; momentum is not cycled.
 - plateau: ``factor``, ``patience`` (epochs without a new lowest training loss), ``floor``.
-- any of them: ``bn_momentum``, torch's sense: {"start", "gamma", "floor"} with ``every_epochs`` or
-  ``every_samples``, a staircase like step's.
+- warm-up-stable-decay: none. The rate rises in equal steps, stays, and in a branch falls in equal
+  steps from what it had reached: a milestone within the warm-up has not seen the full rate.
+- any of the others: ``bn_momentum``, torch's sense: {"start", "gamma", "floor"} with
+  ``every_epochs`` or ``every_samples``, a staircase like step's.
 """
 
 from __future__ import annotations
@@ -24,13 +27,18 @@ from typing import Any
 from torch import nn
 from torch.optim import Optimizer
 
+from partialbench.benchmark.protocol.milestones import Plan
 from partialbench.errors import InputError
 from partialbench.registry import Recipe, close_matches
 
 PUBLISHED_EPOCH_SAMPLES = 9_840
 """Training objects of ModelNet40 as its point-cloud releases count them (9,840 of 9,843)."""
 
-_OPTIONS = {
+GROWN = "warm-up-stable-decay"
+"""The schedule of a trunk and its branches; the only one whose length no epochs say."""
+
+_OPTIONS: dict[str, set[str]] = {
+    GROWN: set(),
     "constant": set(),
     "step": {"gamma", "every_epochs", "every_samples", "milestones", "floor"},
     "cosine": {"final_lr"},
@@ -48,7 +56,13 @@ def check(recipe: Recipe) -> None:
         raise InputError(
             f"no schedule named {recipe.schedule!r}{close_matches(recipe.schedule, _OPTIONS)}"
         )
-    known = _OPTIONS[recipe.schedule] | {"bn_momentum"}
+    grown = recipe.schedule == GROWN
+    if grown != (recipe.epochs is None):
+        raise InputError(
+            f"epochs={recipe.epochs} does not go with the schedule {recipe.schedule!r}: "
+            + ("the milestone says how long it is, see --clouds" if grown else "give their number")
+        )
+    known = _OPTIONS[recipe.schedule] | (set() if grown else {"bn_momentum"})
     for option in recipe.schedule_options:
         if option not in known:
             raise InputError(
@@ -80,9 +94,28 @@ def staircase(epoch: float, options: Mapping[str, Any]) -> int:
     )
 
 
+def published_epochs(recipe: Recipe) -> int:
+    """How many a published recipe has."""
+    if recipe.epochs is None:
+        raise InputError(f"the schedule {recipe.schedule!r} has no epochs")
+    return recipe.epochs
+
+
+def grown_rate(recipe: Recipe, plan: Plan, step: int) -> float:
+    """The rate of the step with the number ``step``, from 0, in a trunk and its branch."""
+    rate = recipe.lr
+    if plan.warm_up:
+        # In a branch the rise is over, also where it was not done.
+        rate *= min(1.0, (min(step, plan.branch_at) + 1) / plan.warm_up)
+    if step >= plan.branch_at:
+        rate *= (plan.steps - step) / (plan.steps - plan.branch_at)
+    return rate
+
+
 def learning_rate(recipe: Recipe, progress: float) -> float:
-    """The rate at ``progress`` in [0, 1] of training; for "plateau" the rate before any cut."""
-    options, epoch = recipe.schedule_options, progress * recipe.epochs
+    """A published schedule's rate at ``progress`` in [0, 1] of training; for "plateau" the rate
+    before any cut."""
+    options, epoch = recipe.schedule_options, progress * published_epochs(recipe)
     if recipe.schedule in ("constant", "plateau"):
         return recipe.lr
     if recipe.schedule == "step":
@@ -109,31 +142,31 @@ def batch_norm_momentum(options: Mapping[str, Any], epoch: float) -> float:
 
 
 class Schedule:
-    """Sets rates before each step; holds the little state that "plateau" needs.
+    """Sets rates before each step; holds the little state that "plateau" needs."""
 
-    Args:
-        epochs: how many there will be under the protocol.
-    """
-
-    def __init__(self, recipe: Recipe, epochs: int) -> None:
+    def __init__(self, recipe: Recipe, plan: Plan) -> None:
         check(recipe)
-        self.recipe = recipe
+        self.recipe, self.plan = recipe, plan
         self.patience = 0
         if recipe.schedule == "plateau":
             published = recipe.schedule_options["patience"]
-            self.patience = max(1, round(published * epochs / recipe.epochs))
+            self.patience = max(1, round(published * (plan.epochs or 1) / published_epochs(recipe)))
         self.factor, self.best, self.bad_epochs = 1.0, math.inf, 0
 
-    def apply(self, optimizer: Optimizer, model: nn.Module, progress: float) -> float:
-        """Sets the rate (returned) and batch-norm momentum for the step at ``progress``."""
-        rate = learning_rate(self.recipe, progress)
+    def apply(self, optimizer: Optimizer, model: nn.Module, step: int) -> float:
+        """Sets the rate (returned) and batch-norm momentum for a step."""
+        progress = step / self.plan.steps
+        if self.recipe.schedule == GROWN:
+            rate = grown_rate(self.recipe, self.plan, step)
+        else:
+            rate = learning_rate(self.recipe, progress)
         if self.factor != 1.0:
             rate = max(rate * self.factor, self.recipe.schedule_options.get("floor", 0.0))
         for group in optimizer.param_groups:
             group["lr"] = rate
         decay = self.recipe.schedule_options.get("bn_momentum")
         if decay is not None:
-            momentum = batch_norm_momentum(decay, progress * self.recipe.epochs)
+            momentum = batch_norm_momentum(decay, progress * published_epochs(self.recipe))
             for module in model.modules():
                 if isinstance(module, nn.modules.batchnorm._BatchNorm):
                     module.momentum = momentum

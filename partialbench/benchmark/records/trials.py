@@ -46,7 +46,8 @@ class Trial:
     def identity(self) -> tuple[object, ...]:
         """Two trials with the same one are one trial."""
         return (
-            self.model, self.options, self.data, self.protocol, self.seed, self.recipe,
+            self.model, self.options, self.data, self.protocol, self.clouds_seen, self.seed,
+            self.recipe,
         )  # fmt: skip
 
 

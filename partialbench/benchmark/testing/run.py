@@ -106,7 +106,9 @@ def _test(
         card=_card_as_dict(card),
         recipe=recipe,
         deviations=[
-            *recipes.deviations(card.recipe, Recipe(**recipe), protocol, train_data.clouds),
+            *recipes.deviations(
+                card.recipe, Recipe(**recipe), protocol, train_data.clouds, content["clouds"]
+            ),
             *origin.deviations(content["summary"].get("start")),
         ],
         protocol=protocol.as_dict(),
@@ -114,7 +116,7 @@ def _test(
         train_data=train_data,
         test_data=results.describe_data(test_set, rows),
         seed=content["seed"],
-        clouds=content.get("clouds", 0),
+        clouds=content["clouds"],
         given_pose=pose,
         training=content["summary"],
         **measured,

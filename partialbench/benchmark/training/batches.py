@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol.protocol import Protocol
+from partialbench.benchmark.training.stretch import stretched
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
@@ -34,9 +35,10 @@ class Place(NamedTuple):
 class BatchStream:
     """Augmented training batches of some rows of a data set.
 
-    Each cloud p of a batch becomes Q·p + jitter with a rotation Q of its own, and its label R
-    becomes Q·R. A last incomplete batch is left out (one cloud alone would break batch norm);
-    an epoch's order is new each time, so no cloud is left out for good.
+    Each cloud p of a batch becomes Q·S·p + jitter with a rotation Q of its own and, where the
+    protocol asks for it, a stretching S along its object's axes; its label R becomes Q·R. A last
+    incomplete batch is left out (one cloud alone would break batch norm); an epoch's order is new
+    each time, so no cloud is left out for good.
 
     Args:
         rows: (m,) row numbers to train on.
@@ -82,6 +84,10 @@ class BatchStream:
         rng = generator(self.seed, "augment", place.epoch, place.batch)
         points = self.dataset.points(chosen, rng, distinct=self.protocol.subset == "distinct")
         rotation = self.dataset.rotations[chosen]
+        if self.protocol.stretch > 1:
+            points = stretched(
+                points, rotation, self.dataset.symmetries[chosen], self.protocol.stretch, rng
+            )
         if self.turns:
             turn = haar_rotations(rng, len(chosen))
             points = points @ turn.swapaxes(1, 2).astype(np.float32)
@@ -98,15 +104,25 @@ class BatchStream:
             torch.from_numpy(mapped.astype(np.float32)),
         )
 
-    def epoch(self, epoch: int, start: int = 0) -> Iterator[tuple[Place, Batch]]:
-        """The batches of an epoch from number ``start`` on; the next is made while one is used."""
-        order = self.order(epoch)
-        places = [Place(epoch, index) for index in range(start, len(self))]
+    def steps(self, first: int, last: int) -> Iterator[tuple[int, Place, Batch]]:
+        """The batches of the steps from ``first`` up to, not with, ``last``, across epochs.
+
+        The next batch is made while one is used.
+        """
+        epoch, order = -1, self.rows
+
+        def make(step: int) -> tuple[int, Place, Batch]:
+            nonlocal epoch, order
+            place = Place(*divmod(step, len(self)))
+            if place.epoch != epoch:
+                epoch, order = place.epoch, self.order(place.epoch)
+            return step, place, self.make(place, order)
+
         with ThreadPoolExecutor(1, thread_name_prefix="batches") as ahead:
-            coming = ahead.submit(self.make, places[0], order) if places else None
-            for index, place in enumerate(places):
+            coming = ahead.submit(make, first) if first < last else None
+            for step in range(first, last):
                 assert coming is not None
-                batch = coming.result()
-                if index + 1 < len(places):
-                    coming = ahead.submit(self.make, places[index + 1], order)
-                yield place, batch
+                ready = coming.result()
+                if step + 1 < last:
+                    coming = ahead.submit(make, step + 1)
+                yield ready

@@ -89,3 +89,22 @@ def build_model(content: Mapping[str, Any]) -> nn.Module:
             f"{error}"
         ) from error
     return model.eval()
+
+
+def require_finished(content: Mapping[str, Any], path: Path | str, purpose: str) -> None:
+    """Raises InputError for the state of a training that is not done, saying what it is.
+
+    Args:
+        purpose: what a finished one is asked for: "be tested".
+    """
+    if "summary" in content:
+        return
+    seen = f"{content['clouds_seen']:,} clouds"
+    if content["kind"] == "trunk":
+        what = f"the trunk of a training at {seen}, from which its milestones branch"
+    else:
+        what = f"an interrupted branch at {seen} of its {content['clouds']:,}"
+    raise InputError(
+        f"{path} is {what}; it is not a finished training and cannot {purpose}. Run the same eval "
+        f"again, and take the checkpoint.pt of one of its branches"
+    )

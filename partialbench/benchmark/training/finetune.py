@@ -47,11 +47,7 @@ def load(path: Path | str, model: str) -> Start:
     content = checkpoint.load(path)
     if content["model"] != model:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model!r}: it is no start")
-    if "summary" not in content:
-        raise InputError(
-            f"{path} is of an unfinished training (epoch {content['epoch']}): finish it with "
-            f"--resume before another begins from it"
-        )
+    checkpoint.require_finished(content, path, "be the start of another")
     train_data, summary = content["train_data"], content["summary"]
     origin = {
         "name": f"{train_data['id']}:{_digest(content['state'])[:8]}",

@@ -1,21 +1,21 @@
-"""Training one model under the protocol, from top to bottom.
+"""Training one model under the protocol to a milestone: along the trunk, then along its branch.
 
-Every random draw is keyed by where it happens: initial weights by (seed), the order by
-(seed, epoch), augmentation and dropout by (seed, epoch, batch). So a run that was killed and
-resumed ends with the weights of one that was not, and a checkpoint holds no generator's state.
-A model must draw from torch's generators alone for that to hold.
+Whatever is saved already is taken up: a finished branch is not repeated, an unfinished one goes on,
+a new one begins from the last state of the trunk before it. A trunk that is lost is made again.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import logging
-import math
+import signal
+import threading
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -23,34 +23,28 @@ import torch
 from lightning.fabric import Fabric
 from numpy.typing import NDArray
 from rich.console import Console
-from torch import Tensor, nn
-from torch.nn.functional import cross_entropy
+from torch import nn
 
-from partialbench.benchmark import environment, models
+from partialbench.benchmark import models
 from partialbench.benchmark.clouds import Clouds
-from partialbench.benchmark.prediction import Batch, Prediction
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import Protocol
-from partialbench.benchmark.protocol.schedule import Schedule
 from partialbench.benchmark.records.results import describe_data
-from partialbench.benchmark.testing import audit, duplicates, evaluate
 from partialbench.benchmark.training import checkpoint, finetune
-from partialbench.benchmark.training.batches import BatchStream, Place
-from partialbench.benchmark.training.optimizers import make_optimizer
-from partialbench.dataset.seeding import generator
+from partialbench.benchmark.training.loop import CHECK_EVERY, DivergedError, Loop
+from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.dataset.shards import write_atomically
-from partialbench.errors import ConfigurationMismatchError, PartialbenchError
+from partialbench.errors import ConfigurationMismatchError, TimeLimitError
 from partialbench.progress import training_bar
 from partialbench.registry import Recipe
 
+__all__ = ["DivergedError", "Task", "TimeLimitError", "Trained", "train"]
+
 log = logging.getLogger(__name__)
 
-CHECK_EVERY = 10
-"""Steps between looks at the loss: each look waits for the device."""
-
-
-class DivergedError(PartialbenchError):
-    """The training loss is no longer a finite number."""
+CHECKPOINT_SECONDS = 180.0
+"""How much wall time a training that is killed may lose."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +91,13 @@ class Trained:
     """A finished training: the bare module in evaluation mode and how it got there.
 
     Attributes:
-        history: one row an epoch, as in log.csv.
-        summary: epochs, steps, clouds seen, seconds (wall time of all its parts, interruptions not
-            counted), median clouds per second, the last epoch's loss and validation accuracy and
-            the curves of both, peak memory, the environment it ended in and, where parts before an
-            interruption ran in others, ``earlier_environments``, and where it did not begin from
-            random weights, its ``start``.
+        history: the lines of log.csv: clouds seen, rate, mean training loss since the line before,
+            validation accuracy (in the last line, None before), training clouds per second.
+        summary: the milestone (``clouds``), epochs, steps, clouds seen, seconds (wall time of all
+            its parts, the trunk's among them, interruptions not counted), median clouds per second,
+            the last line's loss and validation accuracy and the curves of both, peak memory, the
+            environment it ended in and, where parts before an interruption ran in others,
+            ``earlier_environments``, and where it did not begin from random weights, its ``start``.
     """
 
     model: nn.Module
@@ -110,237 +105,174 @@ class Trained:
     summary: dict[str, Any]
 
 
-def step_seed(seed: int, *key: str | int) -> int:
-    """A seed for torch's generators."""
-    return int(generator(seed, *key).integers(2**63))
-
-
-class WithLoss(nn.Module):
-    """A model and its training loss as one forward pass, which is what data parallelism wraps.
-
-    The loss is the model's own ``training_loss(batch)`` where it has one; else cross entropy with
-    the recipe's label smoothing plus the prediction's penalty. Both losses are means over the
-    batch; the penalty is a sum over it, and so counts ``processes`` times here: data parallelism
-    averages the gradients of the processes' shares, which would divide the sum.
-    """
-
-    def __init__(
-        self, model: nn.Module, label_smoothing: float, num_classes: int, processes: int = 1
-    ) -> None:
-        super().__init__()
-        self.model, self.label_smoothing, self.num_classes = model, label_smoothing, num_classes
-        self.processes = processes
-
-    def forward(self, batch: Batch) -> Tensor:
-        """A scalar."""
-        own_loss = getattr(self.model, "training_loss", None)
-        if callable(own_loss):
-            return own_loss(batch)
-        prediction: Prediction = models.as_prediction(
-            self.model(batch.points), len(batch.label), self.num_classes
-        )
-        loss = cross_entropy(
-            prediction.class_logits, batch.label, label_smoothing=self.label_smoothing
-        )
-        if prediction.penalty is None:
-            return loss
-        return loss + self.processes * prediction.penalty
-
-
 def train(
     task: Task,
     fabric: Fabric,
     folder: Path,
-    resume: bool = False,
+    clouds: int,
     checkpoint_every: int | None = None,
+    should_stop: Callable[[], bool] | None = None,
 ) -> Trained:
-    """Trains, writing ``checkpoint.pt`` after every epoch and ``log.csv`` beside it.
+    """Trains to a milestone, going on from what ``folder`` has.
 
     Args:
         fabric: launched; it chooses device, precision and processes. Only rank 0 writes.
-        folder: of this run alone.
-        resume: continue from the checkpoint in ``folder``, if there is one; without it an earlier
-            checkpoint there is overwritten.
-        checkpoint_every: also after every so many steps.
+        folder: of this training alone, see ``trunk``.
+        clouds: the milestone.
+        checkpoint_every: save after every so many steps too, besides every few minutes.
+        should_stop: asked after every step.
 
     Raises:
         DivergedError: NaN or infinite loss.
-        ConfigurationMismatchError: the checkpoint to resume is of another training.
+        TimeLimitError: ``should_stop`` said so; the state is saved.
+        KeyboardInterrupt: Ctrl-C; the step was finished and the state is saved.
+        ConfigurationMismatchError: what the folder has is of another training.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "checkpoint.pt"
-    class_names = list(task.dataset.class_names)
-    num_classes = len(class_names)
-
-    # The model, its optimiser and schedule, and the batches: all from the seed and the recipe.
-    torch.manual_seed(step_seed(task.seed, "init"))
-    bare = models.create(task.model, num_classes, task.options)
+    recipes.require_fits(task.recipe, task.protocol)
+    files = RunFolder(folder)
+    plan = milestones.plan(task.protocol, task.recipe, clouds, len(task.train_rows))
     identity = task.identity()
-    if task.start is not None:
-        fresh = finetune.begin(
-            bare, task.start, class_names, lambda k: models.create(task.model, k, task.options)
-        )
-        log.info("begun from %s%s", task.start.origin["name"],
-                 f"; of other classes, so new: {', '.join(fresh)}" if fresh else "")  # fmt: skip
-    wrapped = WithLoss(
-        bare, recipes.label_smoothing(task.recipe, num_classes), num_classes, fabric.world_size
-    )
-    if fabric.world_size > 1 and fabric.device.type == "cuda":
-        wrapped = nn.SyncBatchNorm.convert_sync_batchnorm(wrapped)
-    network, optimizer = fabric.setup(wrapped, make_optimizer(wrapped, task.recipe))
-    bare = wrapped.model
-    stream = BatchStream(
-        task.dataset, task.train_rows, task.protocol, task.recipe.batch_size, task.seed,
-        fabric.global_rank, fabric.world_size,
-    )  # fmt: skip
-    epochs = task.protocol.num_epochs(task.recipe, len(task.train_rows))
-    schedule = Schedule(task.recipe, epochs)
-    total_steps = epochs * len(stream)
-    log.info(task.protocol.describe_epochs(task.recipe, len(task.train_rows)))
-    train_sources = duplicates.source_keys(task.dataset.source_digests)
-    if task.start is not None:
-        train_sources = sorted({*train_sources, *task.start.train_sources})
-
-    # Where it stands: the next batch to take, and the running sums of the epoch under way.
-    epoch, batch_index, loss_sum, seconds = 0, 0, 0.0, 0.0
-    history: list[dict[str, Any]] = []
-    here = environment.describe(fabric.device, fabric.world_size, environment.precision_of(fabric))
-    environments = [here]
-    if resume and path.is_file():
-        saved = checkpoint.load(path)
-        _require_same_training(saved, identity, path)
-        bare.load_state_dict(saved["state"])
-        epoch, batch_index, loss_sum = saved["epoch"], saved["batch"], saved["loss_sum"]
-        history, seconds = saved["history"], saved["seconds"]
-        # Checkpoints have not always said it.
-        earlier = [e for e in saved.get("environments", []) if e != here]
-        environments = [*earlier, here]
+    fabric.barrier()  # another process may have been writing what all read now
+    loop = Loop(task, fabric, plan)
+    path = files.branch(clouds)
+    in_branch = path.is_file()
+    state = path if in_branch else files.nearest(plan.branch_at * plan.batch)
+    if state is not None:
+        saved = checkpoint.load(state)
+        _require_same_training(saved, identity, state, folder)
+        loop.load(saved)
         if "summary" in saved:
-            return Trained(bare.eval(), history, saved["summary"])
-        optimizer.load_state_dict(saved["optimizer"])
-        schedule.load_state_dict(saved["schedule"])
+            return Trained(loop.bare.eval(), loop.history, saved["summary"])
 
-    def summary() -> dict[str, Any]:
-        return {
-            "epochs": epochs,
-            "steps": total_steps,
-            "clouds_seen": total_steps * stream.batch_size,
-            "seconds": seconds + time.perf_counter() - started,
-            "clouds_per_second": float(np.median([r["clouds_per_second"] for r in history])),
-            "train_loss": history[-1]["train_loss"],
-            "validation_accuracy": history[-1]["validation_accuracy"],
-            "curve": {
-                name: [None if r[name] is None else round(r[name], 5) for r in history]
-                for name in ("train_loss", "validation_accuracy")
-            },
-            "peak_memory_bytes": audit.peak_memory_bytes(fabric.device),
-            "environment": here,
-            **({"earlier_environments": environments[:-1]} if len(environments) > 1 else {}),
-            **({"start": task.start.origin} if task.start is not None else {}),
-        }
+    def save_trunk() -> None:
+        content = loop.content()
+        if fabric.is_global_zero:
+            target = files.state(loop.clouds_seen)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            checkpoint.save(target, identity, {**content, "kind": "trunk"})
+            files.note(loop.speed())
+            files.prune(loop.clouds_seen, [clouds], plan.batch)
 
-    def save() -> None:
-        if not fabric.is_global_zero:
-            return
-        state: dict[str, Any] = {
-            "state": {name: tensor.detach().cpu() for name, tensor in bare.state_dict().items()},
-            "epoch": epoch, "batch": batch_index, "loss_sum": loss_sum, "history": history,
-            "seconds": seconds + time.perf_counter() - started, "train_sources": train_sources,
-            "environments": environments,
-        }  # fmt: skip
-        if epoch < epochs:
-            state |= {"optimizer": optimizer.state_dict(), "schedule": schedule.state_dict()}
-        else:
-            state["summary"] = done
-        checkpoint.save(path, identity, state)
+    def save_branch() -> None:
+        content = loop.content()
+        if fabric.is_global_zero:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            checkpoint.save(path, identity, {**content, "kind": "branch", "clouds": clouds})
+            files.note(loop.speed(), branch=(clouds, loop.clouds_seen))
 
-    done: dict[str, Any] | None = None
-    started = time.perf_counter()
-    unread: list[Tensor] = []
-    with training_bar(Console(stderr=True), silent=not fabric.is_global_zero) as progress:
-        bar = progress.add_task(task.model, total=total_steps, loss="")
-        while epoch < epochs:
-            epoch_started, first_batch = time.perf_counter(), batch_index
-            network.train()
-            for place, batch in stream.epoch(epoch, batch_index):
-                step = place.epoch * len(stream) + place.batch
-                rate = schedule.apply(optimizer, bare, step / total_steps)
-                torch.manual_seed(step_seed(task.seed, "step", *place, fabric.global_rank))
-                loss = network(_to(batch, fabric.device))
-                optimizer.zero_grad(set_to_none=True)
-                fabric.backward(loss)
-                if task.recipe.clip_norm is not None:
-                    fabric.clip_gradients(
-                        network, optimizer, max_norm=task.recipe.clip_norm,
-                        error_if_nonfinite=False,  # _look says more about it
-                    )  # fmt: skip
-                optimizer.step()
-                unread.append(loss.detach())
-                batch_index = place.batch + 1
-                ends_epoch = batch_index == len(stream)
-                wants_save = checkpoint_every is not None and (step + 1) % checkpoint_every == 0
-                if batch_index % CHECK_EVERY == 0 or ends_epoch or wants_save:
-                    loss_sum = _look(fabric, unread, loss_sum, task, place)
-                    shown = f"loss {loss_sum / batch_index:.3f}"
-                    progress.update(bar, completed=step + 1, loss=shown)
-                if wants_save and not ends_epoch:
-                    save()
-            train_seconds = time.perf_counter() - epoch_started
-            train_loss = loss_sum / len(stream)
-            schedule.end_epoch(train_loss)
-            measured = (len(stream) - first_batch) * stream.batch_size
-            history.append(
-                {
-                    "epoch": epoch,
-                    "clouds_seen": (epoch + 1) * len(stream) * stream.batch_size,
-                    "lr": rate,
-                    "train_loss": train_loss,
-                    "validation_accuracy": evaluate.quick_accuracy(
-                        bare, task.dataset, task.validation_rows, fabric.device
-                    ),
-                    "clouds_per_second": measured / train_seconds,
-                }
-            )
-            log.info("epoch %d of %d: %s", epoch + 1, epochs, json.dumps(history[-1]))
-            epoch, batch_index, loss_sum = epoch + 1, 0, 0.0
-            if epoch == epochs:
-                done = summary()
-            save()
-            if fabric.is_global_zero:
-                write_atomically(folder / "log.csv", _as_csv(history))
+    with (
+        training_bar(Console(stderr=True), silent=not fabric.is_global_zero) as progress,
+        _Keeper(fabric, loop, checkpoint_every, should_stop) as keeper,
+    ):
+        bar = progress.add_task(f"{task.model} {milestones.name(clouds)}", total=plan.steps,
+                                loss="", completed=loop.step)  # fmt: skip
+
+        def advance(until: int, save: Callable[[], None]) -> None:
+            def after_step() -> None:
+                if loop.step % CHECK_EVERY == 0 or loop.step == until:
+                    shown = f"loss {loop.mean_loss:.3f}" if loop.in_interval else ""
+                    progress.update(bar, completed=loop.step, **({"loss": shown} if shown else {}))
+                keeper.after_step(save)
+
+            loop.advance(until, after_step)
+
+        if not in_branch:
+            stops = {*milestones.regular(plan.branch_at, plan.batch), plan.branch_at}
+            for stop in sorted(step for step in stops if step > loop.step):
+                advance(stop, save_trunk)
+                save_trunk()
+            loop.begin_branch()
+        advance(plan.steps, save_branch)
+    content = loop.finished()
+    if fabric.is_global_zero:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        checkpoint.save(path, identity, {**content, "kind": "branch", "clouds": clouds})
+        write_atomically(path.with_name("log.csv"), _as_csv(loop.history))
+        files.note(loop.speed(), done=clouds)
     fabric.barrier()
-    assert done is not None
-    return Trained(bare.eval(), history, done)
+    return Trained(loop.bare.eval(), loop.history, content["summary"])
 
 
-def _look(fabric: Fabric, unread: list[Tensor], loss_sum: float, task: Task, place: Place) -> float:
-    """``loss_sum`` with the ``unread`` losses added and the list emptied; each must be finite."""
-    losses = fabric.all_reduce(torch.stack(unread), reduce_op="mean")
-    assert isinstance(losses, Tensor)
-    unread.clear()
-    # One after the other: so the sum does not depend on how often one looks.
-    for loss in losses.tolist():
-        loss_sum += loss
-    if not math.isfinite(loss_sum):
-        raise DivergedError(
-            f"the training loss of {task.model} became {loss_sum} in epoch {place.epoch}, within "
-            f"{CHECK_EVERY} steps of step {place.batch}; nothing was saved since the checkpoint "
-            f"before. Lower lr (now {task.recipe.lr:g}), set clip_norm, or use full precision"
-        )
-    return loss_sum
+class _Keeper:
+    """Decides after each step whether to save, and whether to stop; several processes agree.
+
+    While it is entered, Ctrl-C waits for the step under way; a second one does not.
+    """
+
+    GO_ON, SAVE, TIME_IS_OVER, INTERRUPTED = range(4)
+
+    def __init__(
+        self,
+        fabric: Fabric,
+        loop: Loop,
+        checkpoint_every: int | None,
+        should_stop: Callable[[], bool] | None,
+    ) -> None:
+        self.fabric, self.loop = fabric, loop
+        self.checkpoint_every, self.should_stop = checkpoint_every, should_stop
+        self.saved_at, self.interrupted = time.monotonic(), False
+        self.before: Any = None
+
+    def __enter__(self) -> _Keeper:
+        if threading.current_thread() is threading.main_thread():
+            self.before = signal.getsignal(signal.SIGINT)
+            if callable(self.before):
+                signal.signal(signal.SIGINT, self._note)
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if callable(self.before):
+            signal.signal(signal.SIGINT, self.before)
+        if self.interrupted and kind is None:
+            raise KeyboardInterrupt
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        self.interrupted = True
+        signal.signal(signal.SIGINT, self.before)
+
+    def _wish(self) -> int:
+        if self.interrupted:
+            return self.INTERRUPTED
+        if self.should_stop is not None and self.should_stop():
+            return self.TIME_IS_OVER
+        if time.monotonic() - self.saved_at > CHECKPOINT_SECONDS:
+            return self.SAVE
+        return self.GO_ON
+
+    def after_step(self, save: Callable[[], None]) -> None:
+        """Calls ``save`` where it is time, and raises where it is over."""
+        step, wish = self.loop.step, self.GO_ON
+        if self.fabric.world_size == 1:
+            wish = self._wish()
+        elif step % CHECK_EVERY == 0:
+            mine = torch.tensor(self._wish(), device=self.fabric.device)
+            wishes = self.fabric.all_gather(mine)
+            assert isinstance(wishes, torch.Tensor)
+            wish = int(wishes.max())
+        if self.checkpoint_every is not None and step % self.checkpoint_every == 0:
+            wish = max(wish, self.SAVE)
+        if wish == self.GO_ON:
+            return
+        save()
+        self.saved_at = time.monotonic()
+        if wish == self.INTERRUPTED:
+            raise KeyboardInterrupt
+        if wish == self.TIME_IS_OVER:
+            raise TimeLimitError(
+                f"out of time: {self.loop.task.model} is saved at {self.loop.clouds_seen:,} of "
+                f"{self.loop.plan.clouds_seen:,} clouds; the same call goes on from there"
+            )
 
 
-def _to(batch: Batch, device: torch.device) -> Batch:
-    return Batch(*(tensor.to(device, non_blocking=True) for tensor in batch))
-
-
-def _require_same_training(saved: dict[str, Any], identity: dict[str, Any], path: Path) -> None:
+def _require_same_training(
+    saved: dict[str, Any], identity: dict[str, Any], path: Path, folder: Path
+) -> None:
     differing = [name for name in checkpoint.IDENTITY if saved[name] != identity[name]]
     if differing:
         details = "; ".join(f"{n}: {saved[n]!r} there, {identity[n]!r} now" for n in differing)
         raise ConfigurationMismatchError(
             f"{path} is of another training ({details}); choose another --results folder, or "
-            f"start over: delete {path.parent}, or run eval without --resume"
+            f"start over: run eval with --restart, or delete {folder}"
         )
 
 

@@ -1,0 +1,248 @@
+"""``partialbench campaign run``: does what is missing, several jobs side by side."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import logging
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from fnmatch import fnmatchcase
+
+from partialbench import registry
+from partialbench.benchmark.campaign import jobs as job_files
+from partialbench.benchmark.campaign.file import Campaign, DataSet
+from partialbench.benchmark.campaign.jobs import FAILURES, Job
+from partialbench.benchmark.campaign.status import RUNNING, Status, status
+from partialbench.benchmark.campaign.worker import DIVERGED, DONE, STOPPED, run_in_process
+from partialbench.benchmark.records.results import file_name
+from partialbench.dataset import manifest as manifests
+from partialbench.dataset.build import exclusive
+from partialbench.dataset.executors import dask_cluster
+from partialbench.dataset.shards import write_atomically
+from partialbench.errors import PartialbenchError, TimeLimitError
+
+log = logging.getLogger(__name__)
+
+LEAST_FREE_BYTES = 500_000_000
+"""With less room on the disk no job is begun: it could not save what it learns."""
+MARGIN_S = 20.0
+"""Kept of a time limit for saving and leaving."""
+
+
+def run(
+    campaign: Campaign,
+    *,
+    jobs: int | None = None,
+    device: str = "auto",
+    only: str | None = None,
+    time_limit_s: float | None = None,
+    scheduler: str | None = None,
+    retry_failed: bool = False,
+    say: Callable[[str], None] = log.info,
+) -> Status:
+    """Renders what data are missing, trains what rows are behind, and makes the board.
+
+    Args:
+        jobs: how many side by side; by default one a core, on CUDA one.
+        only: a pattern of model names, "papnet*", or of model and data set, "papnet*@clouds".
+        time_limit_s: after so long every training saves its state and the campaign ends.
+        scheduler: of a Dask cluster whose workers see the same folders; ``jobs`` is then by default
+            as many as it has threads.
+        retry_failed: try jobs again that are recorded as failed.
+        say: told in one line what begins, what ended and how much is to go.
+
+    Returns:
+        where the campaign stands at its end.
+
+    Raises:
+        TimeLimitError: the time was over before the work was.
+        PartialbenchError: another campaign works in the folder, the disk is full, data that cannot
+            be rendered or are not what the file declares.
+    """
+    campaign.results.mkdir(parents=True, exist_ok=True)
+    deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
+    with exclusive(campaign.work, "campaign", "give the other file a work folder of its own"):
+        if retry_failed:
+            job_files.write_failures(campaign.results / FAILURES, [])
+        runner = _Runner(campaign, device, only, deadline, say)
+        try:
+            with _executor(scheduler, jobs, device) as (executor, width):
+                runner.render(width, scheduler)
+                ended = runner.work(executor, width)
+        finally:
+            runner.forget()
+        if campaign.board is not None and any(campaign.results.glob("*.result.json")):
+            for path in registry.load(registry.LEADERBOARD)(campaign.results, campaign.board):
+                log.info("wrote %s", path)
+        if not ended:
+            raise TimeLimitError(
+                f"the time limit is over; {len(status(campaign).missing)} jobs are left. The same "
+                f"command goes on"
+            )
+    return status(campaign)
+
+
+class _Runner:
+    """One run of a campaign: what is running, and where it is told to stop."""
+
+    def __init__(
+        self, campaign: Campaign, device: str, only: str | None, deadline: float | None,
+        say: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        self.campaign, self.device, self.only = campaign, device, only
+        self.deadline, self.say = deadline, say
+        self.stop = campaign.work / f"stop-{os.getpid()}"
+        self.running: dict[Future, Job] = {}
+
+    def wanted(self, job: Job) -> bool:
+        if self.only is None:
+            return True
+        pattern = self.only if "@" in self.only else f"{self.only}@*"
+        return fnmatchcase(f"{job.model}@{job.data}", pattern)
+
+    def render(self, workers: int, scheduler: str | None) -> None:
+        """Makes the data sets that some missing job needs, one after the other."""
+        missing = [job for job in status(self.campaign).missing if self.wanted(job)]
+        needed = {name for job in missing for name in (job.data, *(t.data for t in job.tests))}
+        for name in self.campaign.data:
+            if name in needed and not self.is_over():
+                _render(self.campaign.data[name], workers, scheduler, self.say)
+
+    def is_over(self) -> bool:
+        return self.deadline is not None and time.monotonic() >= self.deadline
+
+    def work(self, executor: Executor, width: int) -> bool:
+        """Runs jobs until none is missing (True) or the time is over (False)."""
+        stopped, state = False, status(self.campaign)
+        try:
+            while True:
+                if not self.is_over() and not stopped:
+                    for job in self._next(state, width):
+                        self._begin(executor, job)
+                if not self.running:
+                    return not stopped and not any(map(self.wanted, state.missing))
+                done, _ = wait(self.running, timeout=2.0, return_when=FIRST_COMPLETED)
+                if self.is_over():
+                    self.stop.touch()
+                for future in done:
+                    stopped |= self._end(future)
+                if done:
+                    state = status(self.campaign)
+                    self.say(f"{len(state.missing)} jobs, {state.hours:.1f} core hours to go")
+        except BaseException:
+            # Ctrl-C and whatever else: what runs saves its state first.
+            self.stop.touch()
+            self.say("stopping: each training saves its state")
+            wait(self.running)
+            raise
+
+    def forget(self) -> None:
+        """Removes what only a running campaign leaves about."""
+        for path in (self.stop, self.campaign.work / RUNNING):
+            path.unlink(missing_ok=True)
+
+    def _next(self, state: Status, width: int) -> list[Job]:
+        busy = {job.training for job in self.running.values()}
+        chosen: list[Job] = []
+        for job in state.missing:
+            if len(self.running) + len(chosen) >= width:
+                break
+            if self.wanted(job) and job.training not in busy and job not in self.running.values():
+                chosen.append(job)
+                busy.add(job.training)
+        return chosen
+
+    def _begin(self, executor: Executor, job: Job) -> None:
+        free = shutil.disk_usage(self.campaign.work).free
+        if free < LEAST_FREE_BYTES:
+            raise PartialbenchError(
+                f"only {free / 1e6:.0f} MB are free where {self.campaign.work} is, fewer than "
+                f"{LEAST_FREE_BYTES / 1e6:.0f}: a training could not save its state. Make room and "
+                f"give the same command"
+            )
+        work = self.campaign.work
+        order = {
+            "job": job.as_dict(), "preset": self.campaign.preset, "device": self.device,
+            "results": str(self.campaign.results), "runs": str(work / "runs"),
+            "folders": {name: str(data.folder) for name, data in self.campaign.data.items()},
+            "seconds": None if self.deadline is None else self.deadline - time.monotonic(),
+            "log": str(work / "logs" / f"{file_name(job.title)}.log"),
+        }  # fmt: skip
+        self.running[executor.submit(run_in_process, order, str(self.stop))] = job
+        self._write_running()
+        self.say(f"begun: {job.title}")
+
+    def _end(self, future: Future) -> bool:
+        """Takes a finished job's word; True where it was stopped."""
+        job = self.running.pop(future)
+        self._write_running()
+        answer = future.result()
+        if answer["outcome"] == DONE:
+            self.say(f"done: {job.title}")
+            return False
+        if answer["outcome"] == STOPPED:
+            self.say(f"saved: {job.title}")
+            return True
+        free = shutil.disk_usage(self.campaign.work).free
+        if free < LEAST_FREE_BYTES:
+            raise PartialbenchError(
+                f"{job.title}: {answer['reason']} ({os.strerror(errno.ENOSPC)})"
+            )
+        self.say(f"failed: {job.title}: {answer['reason']}")
+        diverged = answer.get("kind") == DIVERGED
+        key = job_files.training_key(job) if diverged else job_files.failure_key(job)
+        path = self.campaign.results / FAILURES
+        failures = [f for f in job_files.read_failures(path) if f["job"] != key]
+        failures.append({"job": key, "title": job.title, "reason": answer["reason"]})
+        job_files.write_failures(path, failures)
+        return False
+
+    def _write_running(self) -> None:
+        content = {
+            "pid": os.getpid(), "host": socket.gethostname(),
+            "jobs": [job.as_dict() for job in self.running.values()],
+        }  # fmt: skip
+        write_atomically(self.campaign.work / RUNNING, json.dumps(content).encode())
+
+
+@contextlib.contextmanager
+def _executor(
+    scheduler: str | None, jobs: int | None, device: str
+) -> Iterator[tuple[Executor, int]]:
+    """Where jobs run, and how many side by side. Threads here only wait for their processes."""
+    if scheduler is not None:
+        with dask_cluster(scheduler) as cluster:
+            yield cluster, jobs or cluster.workers
+        return
+    width = jobs or (1 if device.startswith("cuda") else os.cpu_count() or 1)
+    with ThreadPoolExecutor(width, thread_name_prefix="campaign") as threads:
+        yield threads, width
+
+
+def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[str], None]) -> None:
+    """Makes a data folder, or goes on with it, and holds it against its declared digests."""
+    made = (data.folder / manifests.NAME).is_file()
+    if made and manifests.load(data.folder).state == "complete":
+        job_files.digests(data)
+        return
+    say(f"rendering {data.name} into {data.folder}")
+    where = ["--scheduler", scheduler] if scheduler else ["--workers", str(workers)]
+    command = [
+        sys.executable, "-m", "partialbench.cli", "render", *data.render, "--out", str(data.folder),
+        *where,
+    ]  # fmt: skip
+    done = subprocess.run(command, stdout=subprocess.PIPE)  # its bar and errors are the user's
+    if done.returncode:
+        raise PartialbenchError(
+            f"the data set {data.name!r} could not be rendered (status {done.returncode}): "
+            f"partialbench render {' '.join(data.render)} --out {data.folder}"
+        )
+    job_files.digests(data)

@@ -1,0 +1,140 @@
+"""What of a campaign is done, running, waiting, failed and missing, and how long it will take."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from partialbench.benchmark.campaign.file import Campaign
+from partialbench.benchmark.campaign.jobs import Job, Ledger, all_jobs
+
+RUNNING = "running.json"
+
+
+@dataclass
+class Status:
+    """Where a campaign stands.
+
+    Attributes:
+        done, running, missing, failed: jobs, in the campaign's order; what runs or failed is not
+            among the missing.
+        waiting: jobs whose data cannot be made here → the reason.
+        hours: of one core, for what is missing or running and has a recorded speed.
+        without_speed: how many jobs have none.
+        notes: sentences about records that could not be read.
+    """
+
+    done: list[Job] = field(default_factory=list)
+    running: list[Job] = field(default_factory=list)
+    missing: list[Job] = field(default_factory=list)
+    failed: list[Job] = field(default_factory=list)
+    waiting: dict[Job, str] = field(default_factory=dict)
+    hours: float = 0.0
+    without_speed: int = 0
+    notes: list[str] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON data."""
+        return {
+            "done": [job.title for job in self.done],
+            "running": [job.title for job in self.running],
+            "missing": [job.title for job in self.missing],
+            "failed": [job.title for job in self.failed],
+            "waiting": {job.title: why for job, why in self.waiting.items()},
+            "core_hours_to_go": round(self.hours, 2),
+            "jobs_without_a_recorded_speed": self.without_speed,
+            "notes": self.notes,
+        }
+
+    def as_text(self) -> str:
+        """A table of milestones by data set, and what is to be said besides."""
+        everything = [*self.done, *self.running, *self.missing, *self.failed, *self.waiting]
+        finished = set(self.done)
+        lines = []
+        for kind, heading in (("train", "trainings"), ("tune", "trials")):
+            jobs = [job for job in everything if job.kind == kind]
+            for data in sorted({job.data for job in jobs}):
+                for clouds in sorted({job.clouds for job in jobs if job.data == data}):
+                    here = [job for job in jobs if (job.data, job.clouds) == (data, clouds)]
+                    share = sum(job in finished for job in here)
+                    lines.append(
+                        f"{heading:10} {data:24} {clouds / 1000:>6g}k   {share:>4} of {len(here)}"
+                    )
+        lines += [f"running    {job.title}" for job in self.running]
+        lines += [f"failed     {job.title}" for job in self.failed]
+        for reason in sorted(set(self.waiting.values())):
+            count = sum(why == reason for why in self.waiting.values())
+            lines.append(f"waiting    {count} jobs: {reason}")
+        lines += [f"note       {note}" for note in self.notes]
+        lines.append(
+            f"to go      {self.hours:.1f} hours of one core"
+            + (f", and {self.without_speed} jobs of unknown speed" if self.without_speed else "")
+        )
+        return "\n".join(lines)
+
+
+def status(campaign: Campaign, ledger: Ledger | None = None) -> Status:
+    """Reads the campaign's folders; trains and renders nothing and loads no torch."""
+    ledger = ledger or Ledger(campaign)
+    running = read_running(campaign.work / RUNNING)
+    found = Status(notes=list(ledger.unreadable))
+    reached: dict[tuple[object, ...], int] = {}
+    for job in all_jobs(campaign):
+        if ledger.is_done(job):
+            found.done.append(job)
+            reached[job.training] = max(reached.get(job.training, 0), job.clouds)
+            continue
+        if job in running:
+            found.running.append(job)
+        elif ledger.has_failed(job):
+            found.failed.append(job)
+            continue
+        elif reason := _cannot_be_made(campaign, job):
+            found.waiting[job] = reason
+            continue
+        else:
+            found.missing.append(job)
+        speed = ledger.speeds.get((job.model, job.options))
+        if speed is None:
+            found.without_speed += 1
+            continue
+        # The trunk goes on from where its last milestone branched; each branch is a fifth.
+        before = reached.get(job.training, 0)
+        found.hours += (0.8 * (job.clouds - before) + 0.2 * job.clouds) / speed / 3600
+        reached[job.training] = job.clouds
+    return found
+
+
+def _cannot_be_made(campaign: Campaign, job: Job) -> str:
+    for name in dict.fromkeys((job.data, *(test.data for test in job.tests))):
+        data = campaign.data[name]
+        if data.missing and not (data.folder / "manifest.json").is_file():
+            return f"data set {name!r} needs the environment variable {', '.join(data.missing)}"
+    return ""
+
+
+def read_running(path: Path) -> set[Job]:
+    """The jobs that a campaign at work in this folder says it is at; none of one that is gone."""
+    from partialbench.benchmark.campaign.jobs import from_dict
+
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["host"] == socket.gethostname() and not _alive(content["pid"]):
+            return set()
+        return {from_dict(fields) for fields in content["jobs"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,113 @@
+"""One job in a process of its own, with JSON on stdin; its last line on stdout says how it ended.
+
+A process of its own, so that a crash or a want of memory ends one job and not the campaign, and so
+that a Dask worker runs it the same way. It leaves when its parent is gone: a campaign that was
+killed has no trainings left behind that the next one would meet.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from partialbench.benchmark.campaign.jobs import Job, from_dict
+from partialbench.errors import PartialbenchError
+
+DONE, FAILED, STOPPED = "done", "failed", "stopped"
+DIVERGED = "diverged"
+
+
+def run_in_process(order: dict[str, Any], stop: str) -> dict[str, Any]:
+    """Runs one job in a new process and waits for it; what ``main`` printed.
+
+    Args:
+        order: what ``main`` takes. ``log``: where its stderr goes, added to.
+        stop: a path; when a file appears there, the job is asked to save and leave. Files are what
+            a campaign shares with workers on other machines.
+    """
+    environment = {"OMP_NUM_THREADS": "1", **os.environ}
+    log = Path(order["log"])
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with open(log, "ab") as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-m", __name__],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, env=environment,
+            start_new_session=True,  # Ctrl-C reaches the campaign, which asks by the file
+        )  # fmt: skip
+        answer, _ = process.communicate(json.dumps({**order, "stop": stop}).encode())
+    lines = answer.decode(errors="replace").splitlines()
+    try:
+        return json.loads(lines[-1])
+    except (IndexError, json.JSONDecodeError):
+        return {
+            "outcome": FAILED,
+            "reason": f"its process ended with status {process.returncode} and no word, perhaps "
+            f"for want of memory; {log} has what it said",
+        }
+
+
+def main() -> None:
+    """Reads an order, does the job, says how it ended."""
+    order = json.load(sys.stdin)
+    stop, parent = Path(order["stop"]), os.getppid()
+
+    def watch() -> None:
+        while True:
+            if os.getppid() != parent:
+                os._exit(1)
+            time.sleep(1.0)
+
+    threading.Thread(target=watch, daemon=True).start()
+    job = from_dict(order["job"])
+    # Imported here: the watch is on before torch takes its seconds.
+    from partialbench.benchmark.training.train import DivergedError, TimeLimitError
+
+    try:
+        _work(job, order, stop)
+        outcome = {"outcome": DONE}
+    except TimeLimitError as error:
+        outcome = {"outcome": STOPPED, "reason": str(error)}
+    except DivergedError as error:
+        outcome = {"outcome": FAILED, "reason": str(error), "kind": DIVERGED}
+    except PartialbenchError as error:
+        outcome = {"outcome": FAILED, "reason": str(error)}
+    sys.stdout.write(f"\n{json.dumps(outcome)}\n")
+
+
+def _work(job: Job, order: dict[str, Any], stop: Path) -> None:
+    deadline = None if order["seconds"] is None else time.monotonic() + order["seconds"]
+    common: dict[str, Any] = {
+        "preset": order["preset"], "device": order["device"],
+        "results_folder": order["results"], "runs_folder": order["runs"],
+        "precision": job.precision, "options": json.loads(job.options),
+        "should_stop": lambda: stop.exists() or (
+            deadline is not None and time.monotonic() > deadline
+        ),
+    }  # fmt: skip
+    folders = order["folders"]
+    if job.kind == "tune":
+        from partialbench.benchmark.tune import tune
+
+        tune(
+            job.model, folders[job.data], [json.loads(job.recipe)], seed=job.seed,
+            clouds=job.clouds, **common,
+        )  # fmt: skip
+        return
+    from partialbench.benchmark.run import run_eval
+
+    run_eval(
+        job.model, folders[job.data], [folders[t.data] for t in job.tests if t.data != job.data],
+        seeds=1, first_seed=job.seed, clouds=[job.clouds], recipe=json.loads(job.recipe),
+        test_points=[t.points for t in job.tests if t.points is not None],
+        test_poses=[t.pose for t in job.tests if t.pose], **common,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

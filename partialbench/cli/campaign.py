@@ -1,0 +1,81 @@
+"""The verbs that run a whole board from one file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from partialbench.console import Json, continued_by, print_result, stderr
+
+commands = typer.Typer()
+campaign = typer.Typer(help="Every run of a board from one file: what is done, what is missing.")
+commands.add_typer(campaign, name="campaign")
+
+File = Annotated[Path, typer.Argument(help="a campaign file (.toml)")]
+
+
+@campaign.command(
+    name="status", epilog="Example: `partialbench campaign status leaderboard/campaign.toml`"
+)
+def show_status(file: File, as_json: Json = False) -> None:
+    """What is done, running, failed and missing, and hours to go by the recorded speeds."""
+    from partialbench.benchmark.campaign.file import load
+    from partialbench.benchmark.campaign.status import status
+
+    found = status(load(file))
+    print_result(found.as_dict(), as_json, found.as_text())
+
+
+@campaign.command(
+    name="run",
+    epilog="Examples: `partialbench campaign run leaderboard/campaign.toml --time-limit 170m` · "
+    "`partialbench campaign run board.toml --only 'papnet*@clouds' --device cuda`",
+)
+def run_missing(
+    file: File,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="side by side [one a core; on CUDA one]")
+    ] = None,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
+    only: Annotated[
+        str | None,
+        typer.Option(help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds'"),
+    ] = None,
+    time_limit: Annotated[
+        str | None,
+        typer.Option(help="save and leave after 45s, 170m or 3h; exit status 75 if jobs are left"),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="send trainings to the Dask cluster at this address")
+    ] = None,
+    retry_failed: Annotated[
+        bool, typer.Option(help="try again what is recorded as failed")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Render and train what is missing, the milestone that is behind first, and make the board.
+
+    Stopped in any way, the same command goes on.
+    """
+    from partialbench.benchmark.campaign.file import load
+    from partialbench.benchmark.campaign.run import run
+
+    with continued_by("the same command"):
+        found = run(
+            load(file), jobs=jobs, device=device, only=only,
+            time_limit_s=None if time_limit is None else seconds(time_limit),
+            scheduler=scheduler, retry_failed=retry_failed,
+            say=lambda text: stderr.print(text, markup=False),
+        )  # fmt: skip
+    print_result(found.as_dict(), as_json, found.as_text())
+
+
+def seconds(text: str) -> float:
+    """ "45s", "170m", "3h" or a plain number of seconds."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*([smh]?)", text)
+    if match is None or float(match[1]) <= 0:
+        raise typer.BadParameter(f"--time-limit takes 45s, 170m or 3h, got {text!r}")
+    return float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]

@@ -1,0 +1,104 @@
+"""What a campaign file may say, and what is said of one that is wrong."""
+
+from pathlib import Path
+
+import pytest
+
+from partialbench.benchmark.campaign.file import load
+from partialbench.benchmark.campaign.jobs import Test, all_jobs
+from partialbench.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[2]
+
+SMALL = """
+results = "records"
+work = "work"
+preset = "smoke"
+
+[data.shapes]
+render = "pm40 --counts 2,1 --views 1"
+
+[data.rooms]
+render = "ps15 --source ${A_VARIABLE_THAT_IS_NOT_SET}"
+
+[[train]]
+models = ["pointnet", "dgcnn"]
+data = "shapes"
+clouds = ["100", "50"]
+seeds = 2
+test = "rooms"
+points = 64
+
+[[tune]]
+models = "pointnet"
+data = "shapes"
+clouds = 50
+tries = [{lr = 0.001}, {lr = 0.002}]
+"""
+
+
+def written(tmp_path, text):
+    path = tmp_path / "board.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_file_becomes_jobs_the_milestone_that_is_behind_first(tmp_path):
+    campaign = load(written(tmp_path, SMALL))
+    assert campaign.results == tmp_path / "records"
+    assert campaign.data["shapes"].folder == tmp_path / "work" / "data" / "shapes"
+    assert campaign.data["rooms"].missing == ("A_VARIABLE_THAT_IS_NOT_SET",)
+    jobs = [job for job in all_jobs(campaign) if job.kind == "train"]
+    assert [(j.model, j.seed, j.clouds) for j in jobs] == [
+        ("pointnet", 0, 50), ("dgcnn", 0, 50), ("pointnet", 1, 50), ("dgcnn", 1, 50),
+        ("pointnet", 0, 100), ("dgcnn", 0, 100), ("pointnet", 1, 100), ("dgcnn", 1, 100),
+    ]  # fmt: skip
+    assert jobs[0].tests == (
+        Test("shapes"), Test("rooms"), Test("shapes", 64), Test("rooms", 64),
+    )  # fmt: skip
+    trials = [job for job in all_jobs(campaign) if job.kind == "tune"]
+    assert [job.recipe for job in trials] == ['{"lr": 0.001}', '{"lr": 0.002}']
+
+
+def test_two_entries_of_one_training_are_one_with_the_tests_of_both(tmp_path):
+    more = '[[train]]\nmodels = "pointnet"\ndata = "shapes"\nclouds = 100\nposes = [0]\n'
+    jobs = all_jobs(load(written(tmp_path, SMALL + more)))
+    (job,) = [j for j in jobs if j.model == "pointnet" and j.clouds == 100 and j.seed == 0]
+    assert Test("shapes", None, "0") in job.tests
+    assert Test("rooms", 64) in job.tests
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"dgcnn"', '"dgcn"', r"line 13: no model named 'dgcn'; did you mean dgcnn"),
+        ("points = 64", "pionts = 64", r"line 18: .* has no field 'pionts'; did you mean points"),
+        ('data = "shapes"', 'data = "shape"', r"line 14: no data set named 'shape'; did you mean"),
+        ('preset = "smoke"', 'preset = "smok"', "line 4: no preset named 'smok'; did you mean"),
+        ("lr = 0.002", "rl = 0.002", "recipe has no field 'rl'; did you mean lr"),
+        ("lr = 0.002", "lr = -1", "lr of a recipe must be a number, not negative, got -1"),
+        ("seeds = 2", "seeds = 0", "seeds must be one or more"),
+        ("seeds = 2", 'seeds = "two"', "seeds holds 'two'; expected int values"),
+        ('"100"', '"many"', "many"),
+        ('render = "pm40 --counts 2,1 --views 1"', 'rendr = "x"', "has no field 'rendr'"),
+        ("--views 1", "--views 1 --out x", "must not say --out"),
+        ("[[tune]]", "[[tune]", "is not TOML: .*line 20"),
+    ],
+)
+def test_what_is_wrong_is_said_with_its_line(tmp_path, old, new, message):
+    assert old in SMALL
+    with pytest.raises(InputError, match=message):
+        load(written(tmp_path, SMALL.replace(old, new, 1)))
+
+
+def test_no_file_and_no_run_are_said(tmp_path):
+    with pytest.raises(InputError, match="not a readable campaign file"):
+        load(tmp_path / "none.toml")
+    with pytest.raises(InputError, match="declares no run"):
+        load(written(tmp_path, "preset = 'smoke'"))
+
+
+def test_the_board_s_own_file_holds_together():
+    campaign = load(ROOT / "leaderboard" / "campaign.toml")
+    models = {job.model for job in all_jobs(campaign)}
+    assert {"pointnet", "papnet", "papnet-steered", "rri-pointnet2"} <= models
