@@ -172,9 +172,8 @@ def _title(result: Result) -> str:
 
 
 def budget_title(result: Result) -> str:
-    """The protocol's title and the milestone: "mini 100k clouds"."""
-    milestone = f" {milestones.name(result.clouds)} clouds"
-    return protocol_title(result) + milestone
+    """The protocol's title and the milestone: "board, 100k clouds"."""
+    return f"{protocol_title(result)}, {milestones.name(result.clouds)} clouds"
 
 
 def protocol_title(result: Result) -> str:

@@ -13,11 +13,13 @@ import numpy as np
 
 from partialbench import registry
 from partialbench.benchmark import models
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import metrics
 from partialbench.errors import InputError
+from partialbench.registry import Recipe
 
 PRINTED = ("title", "paper", "paper_scores", "representation", "invariances", "parameters")
 """What of a card the board sets beside others' figures; its prose may have been mended since."""
@@ -31,18 +33,22 @@ def own_faults(result: Result) -> Iterator[str]:
             f"its protocol has the digest {digest[:12]}, it claims {result.protocol_digest[:12]}: "
             f"the column it stands in is another's"
         )
-    training, asked = result.training, result.protocol.get("epochs")
-    if asked is not None and training["epochs"] != asked:
-        yield f"{training['epochs']} epochs were trained, the protocol has {asked}"
-    batch = min(result.recipe["batch_size"], result.train_data.clouds)
-    seen = training["clouds_seen"]
-    if seen != training["steps"] * batch:
+    training = result.training
+    try:
+        plan = milestones.plan(
+            protocols.from_dict(result.protocol), Recipe(**result.recipe), result.clouds,
+            result.train_data.clouds,
+        )  # fmt: skip
+    except (InputError, TypeError) as error:
+        yield f"nothing can be trained as it says: {error}"
+        return
+    done = training["steps"], training["clouds_seen"]
+    if done != (plan.steps, plan.clouds_seen):
         yield (
-            f"{training['steps']} steps of {batch} clouds are {training['steps'] * batch:,} clouds "
-            f"seen, it says {seen:,}"
+            f"it tells of {done[0]:,} steps and {done[1]:,} clouds seen; to the milestone "
+            f"{milestones.name(result.clouds)} on {result.train_data.clouds:,} clouds its protocol "
+            f"and recipe take {plan.steps:,} steps, {plan.clouds_seen:,} clouds"
         )
-    if result.clouds and abs(seen - result.clouds) > batch:
-        yield f"it stands at the milestone {result.clouds:,} and has seen {seen:,} clouds"
     unnamed = [name for name in result.options if f"{name}=" not in result.variant]
     if unnamed:
         yield f"its row does not name the option(s) {', '.join(unnamed)} it was made with"

@@ -72,7 +72,7 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
     Raises:
         InputError: seeds of one row under one condition were tested on different clouds.
     """
-    probes: dict[tuple[str, ...], list[Result]] = defaultdict(list)
+    probes: dict[tuple[object, ...], list[Result]] = defaultdict(list)
     for result in records:
         # Two at once lie on no curve; poses that are given have ``given``.
         if len(result.conditions) == 1 and not result.conditions.keys() & {"pose", "scored"}:
@@ -116,12 +116,12 @@ def as_layout(family: Family) -> Layout:
     )
 
 
-def _trained_on(result: Result) -> tuple[str, ...]:
+def _trained_on(result: Result) -> tuple[object, ...]:
     """What a probe shares with the column it belongs to: all but the test split's content."""
     train, test = result.train_data, result.test_data
     return (
         train.id, train.setting, train.digest, test.id, test.setting, result.protocol_digest,
-        str(result.clouds),
+        result.clouds,
     )  # fmt: skip
 
 

@@ -201,11 +201,11 @@ def better(text):
     text["scores"]["accuracy"] = 0.99
 
 
-def test_sound_records_have_no_problems(folder):
+def test_sound_records_have_no_problems(folder, made_up_models):
     assert problems(folder) == []
 
 
-def test_everything_wrong_is_reported_at_once(folder):
+def test_everything_wrong_is_reported_at_once(made_up_models, folder):
     paths = sorted(folder.glob("*.json"))
     forge(paths[0], better, honest_digest=False)
     stored = results.read(paths[1]).predictions_file
@@ -225,7 +225,7 @@ def test_everything_wrong_is_reported_at_once(folder):
     assert not (folder / "out").exists()
 
 
-def test_a_forger_who_mends_the_digest_is_found_by_check_alone(folder, tmp_path):
+def test_a_forger_who_mends_the_digest_is_found_by_check_alone(made_up_models, folder, tmp_path):
     forge(sorted(folder.glob("*.json"))[0], better, honest_digest=True)
     build_leaderboard(folder, tmp_path / "trusting")
     with pytest.raises(InputError, match="give another accuracy"):
@@ -233,7 +233,7 @@ def test_a_forger_who_mends_the_digest_is_found_by_check_alone(folder, tmp_path)
 
 
 @pytest.mark.parametrize(("off", "wrong"), [(1e-15, 0), (1e-6, 1)])
-def test_another_processors_rounding_is_no_forgery(folder, off, wrong):
+def test_another_processors_rounding_is_no_forgery(folder, made_up_models, off, wrong):
     """Records come from other machines, where sums are taken in another order."""
 
     def shift(text):
@@ -301,16 +301,16 @@ def test_the_run_name_is_a_file_name_and_depends_on_what_the_run_is():
 def test_a_column_says_what_was_changed_about_its_preset():
     stored = predictions(0.9, 0)
     base = record("one", stored)
-    changed = protocol("mini", epochs=16, jitter_sigma=0.0)
+    changed = protocol("board", split_seed=3, jitter_sigma=0.01)
     other = dataclasses.replace(base, protocol=changed.as_dict(), protocol_digest=changed.digest)
     older = dataclasses.replace(
         other, protocol=changed.as_dict() | {"version": changed.version - 1}, protocol_digest="0"
     )
     titles = [column.title for column in make_board([base, other, older])]
     assert sorted(titles) == [
-        "pm40-parametric, partial, mini",
-        "pm40-parametric, partial, mini epochs=16 jitter_sigma=0.0",
-        "pm40-parametric, partial, mini+",
+        "pm40-parametric, partial, board split_seed=3 jitter_sigma=0.01, 100k clouds",
+        "pm40-parametric, partial, board+, 100k clouds",
+        "pm40-parametric, partial, board, 100k clouds",
     ]
 
 

@@ -92,8 +92,7 @@ class Result:
         train_data, test_data: see ``DataRecord``.
         given_pose: what the model was told of each test cloud's pose, see ``given_pose.parse``; ""
             for nothing, as ever but for such a test.
-        clouds: the milestone it was trained to, in clouds seen; 0 where the protocol itself says how
-            long. ``training["clouds_seen"]`` is the exact number.
+        clouds: the milestone it was trained to; ``training["clouds_seen"]`` is the exact number.
         training: see ``train.Trained.summary``.
         weights_sha256: of the tensors that were tested.
         cost: see ``audit.cost``. rotation_audit: see there. company_audit: see ``company``.
@@ -156,11 +155,12 @@ class Result:
 
     @property
     def column(self) -> tuple[str, ...]:
-        """What must agree for two results to be compared: data and protocol by digest, milestone."""
+        """What must agree for two results to be compared: data, protocol, milestone."""
         train, test = self.train_data, self.test_data
         return (
             train.id, train.setting, train.digest, test.id, test.setting, test.digest,
-            self.protocol_digest, str(self.clouds), *(f"{k}={v}" for k, v in self.conditions.items()),
+            self.protocol_digest, milestones.name(self.clouds),
+            *(f"{k}={v}" for k, v in self.conditions.items()),
         )  # fmt: skip
 
     @property
@@ -176,8 +176,7 @@ class Result:
         if self.test_data.id != self.train_data.id:
             parts.append(f"on-{self.test_data.id}")
         parts += [f"{name}-{value}" for name, value in self.conditions.items()]
-        parts.append(self.protocol["preset"])
-        parts.append(milestones.name(self.clouds))
+        parts += [self.protocol["preset"], milestones.name(self.clouds)]
         parts += [f"seed{self.seed}", short]
         return file_name(*parts)
 

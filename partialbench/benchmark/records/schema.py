@@ -67,7 +67,7 @@ class Curve(TypedDict):
 class Training(TypedDict):
     """See ``train.Trained.summary``."""
 
-    epochs: Positive
+    epochs: Amount
     steps: Positive
     clouds_seen: Positive
     seconds: Amount
@@ -115,7 +115,7 @@ class RecipeEntry(TypedDict):
 
     lr: Amount
     batch_size: Positive
-    epochs: Positive
+    epochs: Positive | None
 
 
 class Card(TypedDict):
@@ -190,7 +190,7 @@ class RecordFile(TypedDict):
     train_data: DataEntry
     test_data: DataEntry
     seed: int
-    clouds: Count
+    clouds: Positive
     given_pose: str
     model_code: Code
     weights_sha256: Digest
