@@ -53,7 +53,7 @@ def predictions(
 
 
 def record(
-    name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="mini",
+    name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="board",
     test=None, test_digest="b", paper=None, title=None, variant="", options=None,
     points=None, sensor="", setting="partial", given_pose="", clouds=100, model_code="",
 ) -> Result:  # fmt: skip

@@ -47,5 +47,5 @@ def test_equal_accuracies_have_no_order(tmp_path):
 def test_columns_of_two_protocols_are_compared_and_say_so(tmp_path):
     (table,) = rank_agreement(board(tmp_path, ACCURACIES, preset="smoke"))
     (row,) = table.rows
-    assert [title.rsplit(", ", 1)[1] for title in row[:2]] == ["smoke", "mini"]
+    assert [title.rsplit(", ", 1)[1] for title in row[:2]] == ["smoke", "board"]
     assert "two protocols" in table.about

@@ -90,7 +90,7 @@ def test_tables_and_figures_show_them(folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("board")
     written = {path.name for path in build_leaderboard(folder, out)}
     column, _ = make_board(results.read_folder(folder))
-    assert column.slug == "pm40-parametric-partial-mini"
+    assert column.slug == "pm40-parametric-partial-board"
     expected = ("points", "pose_points", "kinect-v1", "tof", "pose_visibility")
     assert {f"{name}_{column.slug}.svg" for name in expected} <= written
     assert f"points_{column.slug}.png" in written

@@ -27,7 +27,7 @@ def test_the_loss_is_the_difference_of_accuracies_with_its_paired_interval(tmp_p
     assert table.head == [
         "model", "aligned", "rotated", "partial", "aligned − rotated", "rotated − partial",
     ]  # fmt: skip
-    assert table.title == "By setting: pm40-parametric, mini"
+    assert table.title == "By setting: pm40-parametric, board"
     ((title, *accuracies, first, _),) = table.rows
     assert title == "ONE"
     records = [r for r in results.read_folder(tmp_path) if r.model == "one"]
@@ -76,8 +76,8 @@ def test_each_number_of_training_clouds_is_compared_with_its_own(tmp_path):
     small, large = setting_families(make_board(results.read_folder(tmp_path)))
     assert [c.training_clouds for c in small.values()] == [100, 100, 300]
     assert [c.training_clouds for c in large.values()] == [100, 300, 300]
-    assert small["rotated"].title == "pm40-parametric, rotated, mini (100 training clouds)"
-    assert small["partial"].title == "pm40-parametric, partial, mini"
+    assert small["rotated"].title == "pm40-parametric, rotated, board (100 training clouds)"
+    assert small["partial"].title == "pm40-parametric, partial, board"
     first, second = layouts(tmp_path)
     assert [row[0] for row in first.rows] == ["ONE", "TWO"]
     assert [row[0] for row in second.rows] == ["ONE", "TWO"]
@@ -86,7 +86,7 @@ def test_each_number_of_training_clouds_is_compared_with_its_own(tmp_path):
     assert "–" not in (two[1], two[3])
     assert first.about.endswith("Training clouds: 100 aligned, 100 rotated, 300 partial.")
     assert second.about.endswith("Training clouds: 100 aligned, 300 rotated, 300 partial.")
-    assert second.title == "By setting: pm40-parametric, mini"
+    assert second.title == "By setting: pm40-parametric, board"
 
 
 def test_of_columns_that_differ_in_digests_alone_the_fullest_is_compared(tmp_path):

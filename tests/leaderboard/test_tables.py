@@ -311,30 +311,30 @@ def test_the_run_name_is_a_file_name_and_depends_on_what_the_run_is():
 def test_a_column_says_what_was_changed_about_its_preset():
     stored = predictions(0.9, 0)
     base = record("one", stored)
-    changed = protocol("mini", epochs=16, jitter_sigma=0.0)
+    changed = protocol("board", stretch=1.25, warm_up=16)
     other = dataclasses.replace(base, protocol=changed.as_dict(), protocol_digest=changed.digest)
     older = dataclasses.replace(
         other, protocol=changed.as_dict() | {"version": changed.version - 1}, protocol_digest="0"
     )
     titles = [column.title for column in make_board([base, other, older])]
     assert sorted(titles) == [
-        "pm40-parametric, partial, mini",
-        "pm40-parametric, partial, mini epochs=16 jitter_sigma=0.0",
-        "pm40-parametric, partial, mini+",
+        "pm40-parametric, partial, board",
+        "pm40-parametric, partial, board stretch=1.25 warm_up=16",
+        "pm40-parametric, partial, board+",
     ]
 
 
 def test_columns_that_differ_in_protocol_or_direction_name_their_figures_differently():
     titles = [
-        "pm40-parametric, partial, mini", "pm40-parametric, partial, mini+",
-        "pm40-parametric → ps15-rooms, partial, mini",
-        "ps15-rooms → pm40-parametric, partial, mini",
-        "my_data, aligned → rotated, mini (1a2b3c 4d5e6f 789abc)",
+        "pm40-parametric, partial, board", "pm40-parametric, partial, board+",
+        "pm40-parametric → ps15-rooms, partial, board",
+        "ps15-rooms → pm40-parametric, partial, board",
+        "my_data, aligned → rotated, board (1a2b3c 4d5e6f 789abc)",
     ]  # fmt: skip
     slugs = [Column((), title, "").slug for title in titles]
     assert len(set(slugs)) == len(titles)
     assert slugs[1:3] == [
-        "pm40-parametric-partial-mini+", "pm40-parametric-to-ps15-rooms-partial-mini",
+        "pm40-parametric-partial-board+", "pm40-parametric-to-ps15-rooms-partial-board",
     ]  # fmt: skip
     # What follows a file's last underscore is the column: the page looks it up by that.
     assert not any("_" in slug for slug in slugs)

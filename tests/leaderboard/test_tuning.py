@@ -80,7 +80,7 @@ def test_the_best_trial_of_each_model_is_ranked_against_the_columns(tmp_path):
         )
     write(tmp_path, replace(TRIAL, model="never-tested", validation_accuracy=0.99))
     _, table = layouts(tmp_path)
-    assert table.rows == [["pm40-parametric, partial, mini", "4", "+1.00", "+1.00"]]
+    assert table.rows == [["pm40-parametric, partial, board", "4", "+1.00", "+1.00"]]
 
 
 def test_the_options_of_a_trial_say_which_row_it_is_of(tmp_path):
@@ -88,7 +88,7 @@ def test_the_options_of_a_trial_say_which_row_it_is_of(tmp_path):
         add(tmp_path, "one", 0.9 - 0.2 * i, options={"grid": grid})
         write(tmp_path, replace(TRIAL, options=f"grid={grid}", validation_accuracy=0.1 * (i + 1)))
     _, table = layouts(tmp_path)
-    assert table.rows == [["pm40-parametric, partial, mini", "4", "-1.00", "-1.00"]]
+    assert table.rows == [["pm40-parametric, partial, board", "4", "-1.00", "-1.00"]]
 
 
 def test_the_board_shows_them_and_refuses_a_file_that_holds_none(tmp_path):
