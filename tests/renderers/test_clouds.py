@@ -214,7 +214,7 @@ def test_unmeasured_points_of_a_pcd_are_dropped(rng: np.random.Generator) -> Non
         ("a.txt", b"1,2,3,4\n1,,3,4\n", "a.txt: a cell is empty"),
         ("a.csv", b"1,2,3\n ,2,3\n", "a.csv: a cell is empty"),
         ("a.npy", b"junk", "cannot be read as NPY"),
-        ("a.ply", b"ply\nformat", "has no line end_header"),
+        ("a.ply", b"ply\nformat", "cannot be read as PLY"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
          b"property float z\nend_header\n0 0 0\n1 1 1\n", "says 3 vertex lines, 2 follow it"),
         ("a.pcd", b"VERSION 0.7\n", "no DATA line"),
