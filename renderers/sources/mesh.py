@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 READERS: dict[str, Callable[[bytes], Polygons]] = {
     ".off": read_off, ".obj": read_obj, ".ply": read_ply, ".stl": read_stl, ".glb": read_gltf,
-    ".gltf": read_gltf, ".dae": read_dae,
+    ".dae": read_dae, ".gltf": read_gltf,
 }  # fmt: skip
 SUFFIXES = tuple(READERS)
 """The formats that are read, in the order of preference where an object comes in several."""
@@ -152,9 +152,7 @@ def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArr
     return np.abs(cross).max(axis=0) > rounding
 
 
-def _mesh(
-    vertices: NDArray, faces: NDArray, notices: tuple[str, ...] = ()
-) -> trimesh.Trimesh:
+def _mesh(vertices: NDArray, faces: NDArray, notices: tuple[str, ...] = ()) -> trimesh.Trimesh:
     return trimesh.Trimesh(
         vertices, faces, process=False, validate=False, metadata={"notices": notices}
     )

@@ -37,8 +37,8 @@ def require_counts(content: bytes, suffix: str, found: Polygons) -> None:
     for what, expected in counted(content, suffix).items():
         if got[what] != expected:
             raise InputError(
-                f"{got[what]} {what} were read, but the file has {expected} by its own count: it is "
-                f"damaged, or written in a way that is not read rightly"
+                f"{got[what]} {what} were read, but the file has {expected} by its own count: it "
+                f"is damaged, or written in a way that is not read rightly"
             )
 
 

@@ -67,7 +67,9 @@ class _Reader:
             if kind in _TRANSFORMS:
                 placed = placed @ _transform(child, kind)
             elif kind in ("lookat", "skew"):
-                raise InputError(f"a node has a <{kind}>, which is not read; bake it into a <matrix>")
+                raise InputError(
+                    f"a node has a <{kind}>, which is not read; bake it into a <matrix>"
+                )
             elif kind == "instance_controller":
                 raise InputError(
                     "uses a skin or morph (<instance_controller>), which is not read; export the "
@@ -109,12 +111,18 @@ class _Reader:
         inputs = [e for e in _children(element, "input") if e.get("semantic") == "VERTEX"]
         if len(inputs) != 1:
             raise InputError(f"<{kind}> has {len(inputs)} inputs VERTEX; expected one")
-        stride, offset, count = max(offsets) + 1, _number(inputs[0], "offset"), _number(element, "count")
+        stride, offset, count = (
+            max(offsets) + 1,
+            _number(inputs[0], "offset"),
+            _number(element, "count"),
+        )
         if _children(element, "ph"):
             raise InputError("a polygon has a hole (<ph>), which is not read; export triangles")
         lists = [whole(_words(p), f"an index of <{kind}>") for p in _children(element, "p")]
         if any(len(p) % stride for p in lists):
-            raise InputError(f"<{kind}> has {len(lists[0])} indices, which is no multiple of {stride}")
+            raise InputError(
+                f"<{kind}> has {len(lists[0])} indices, which is no multiple of {stride}"
+            )
         corners = [p[offset::stride] for p in lists]
         if kind in ("triangles", "polylist"):
             if len(corners) > 1 or (count and not corners):
@@ -126,8 +134,8 @@ class _Reader:
                 sizes = whole(words, "a corner count of <polylist>")
             if len(sizes) != count or (sizes < 0).any() or sizes.sum() != len(flat):
                 raise InputError(
-                    f"<{kind}> says {count} polygons of {sizes.sum()} corners, but lists {len(flat)} "
-                    f"corners: it was cut short or is damaged"
+                    f"<{kind}> says {count} polygons of {sizes.sum()} corners, but lists "
+                    f"{len(flat)} corners: it was cut short or is damaged"
                 )
         else:
             if len(corners) != count:
@@ -214,9 +222,13 @@ def read_dae(content: bytes) -> Polygons:
     if not sum(len(sizes) for sizes in reader.sizes):
         raise InputError("has no faces; expected a mesh, not points or lines")
     mesh = Polygons.of_faces(
-        np.concatenate(reader.vertices), np.concatenate(reader.corners), np.concatenate(reader.sizes)
+        np.concatenate(reader.vertices),
+        np.concatenate(reader.corners),
+        np.concatenate(reader.sizes),
     )
-    notices = [f"{n} {kind} are no surface and were left out" for kind, n in reader.left_out.items()]
+    notices = [
+        f"{n} {kind} are no surface and were left out" for kind, n in reader.left_out.items()
+    ]
     up = next((e.text or "" for e in root.iter("{*}up_axis")), "").strip()
     if up and up != "Z_UP":
         notices.append(f"it declares {up}, which was not applied: the option --up says what is up")

@@ -1,4 +1,4 @@
-"""glTF 2.0, packed (.glb) or as text with its buffers inside (.gltf): the default scene's triangles.
+"""glTF 2.0, packed (.glb) or as text with its buffers inside (.gltf): its scene's triangles.
 
 Source: the Khronos glTF 2.0 specification, KHR_mesh_quantization, KHR_draco_mesh_compression. What
 places and shapes a surface is read or refused by name, so that no part of an object is missing.
@@ -72,7 +72,9 @@ def read_gltf(content: bytes) -> Polygons:
     ]
     if outside:
         notices.append(f"{len(outside)} meshes stand outside the scene and were left out")
-    notices += [f"{n} {kind} are no surface and were left out" for kind, n in found.left_out.items()]
+    notices += [
+        f"{n} {kind} are no surface and were left out" for kind, n in found.left_out.items()
+    ]
     if not found.triangles:
         raise InputError("has no faces; expected a mesh, not points or lines")
     return Polygons.of_triangles(
@@ -149,9 +151,7 @@ def _buffers(document: dict[str, Any], binary: bytes | None) -> list[bytes | Inp
                 raise InputError(f"buffer {k} is no base64 ({error})") from error
         if data is None:
             where = f"in another file ({str(uri)[:80]})" if uri else "nowhere"
-            buffers.append(
-                InputError(f"buffer {k} lies {where}; pack the object into one .glb")
-            )
+            buffers.append(InputError(f"buffer {k} lies {where}; pack the object into one .glb"))
         elif len(data) < length:
             buffers.append(
                 InputError(f"buffer {k} says {length} bytes, {len(data)} are there: cut short")
@@ -213,7 +213,9 @@ def _matrix(node: dict[str, Any], k: int) -> NDArray[np.float64]:
     def numbers(key: str, default: list[float]) -> NDArray[np.float64]:
         value = np.array(node.get(key, default), np.float64)
         if value.shape != (len(default),) or not np.isfinite(value).all():
-            raise InputError(f"the {key} of node {k} is {node[key]!r}; expected {len(default)} numbers")
+            raise InputError(
+                f"the {key} of node {k} is {node[key]!r}; expected {len(default)} numbers"
+            )
         return value
 
     if "matrix" in node:
@@ -227,22 +229,15 @@ def _matrix(node: dict[str, Any], k: int) -> NDArray[np.float64]:
     square = x * x + y * y + z * z + w * w
     if abs(square - 1) > 0.01:
         raise InputError(f"the rotation of node {k} is no unit quaternion: {node['rotation']}")
-    turned = np.array(
-        [
-            [1 - 2 * (y * y + z * z) / square, 2 * (x * y - w * z) / square, 2 * (x * z + w * y) / square],
-            [2 * (x * y + w * z) / square, 1 - 2 * (x * x + z * z) / square, 2 * (y * z - w * x) / square],
-            [2 * (x * z - w * y) / square, 2 * (y * z + w * x) / square, 1 - 2 * (x * x + y * y) / square],
-        ]
-    )  # fmt: skip
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    turned = np.eye(3) + 2 / square * (w * cross + cross @ cross)
     matrix = np.eye(4)
     matrix[:3, :3] = turned * numbers("scale", [1, 1, 1])
     matrix[:3, 3] = numbers("translation", [0, 0, 0])
     return matrix
 
 
-def _add(
-    accessors: Accessors, primitive: dict[str, Any], placed: NDArray, found: _Found
-) -> None:
+def _add(accessors: Accessors, primitive: dict[str, Any], placed: NDArray, found: _Found) -> None:
     known(primitive, "primitive", ("attributes", "indices", "material", "mode", "targets"))
     mode = integer(primitive, "mode", 4, below=len(_MODES))
     if mode < 4:

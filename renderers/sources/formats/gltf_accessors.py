@@ -89,13 +89,15 @@ class Accessors:
             points = np.asarray(decoded.points, np.float64).reshape(-1, 3)
             faces = np.asarray(getattr(decoded, "faces", []), np.int64).reshape(-1)
         except Exception as error:  # of types of its own
-            raise InputError(f"a Draco compressed part cannot be decoded ({error})") from error
+            raise InputError(
+                f"a part under KHR_draco_mesh_compression cannot be decoded ({error})"
+            ) from error
         stated = integer(accessor, "count")
         index = self._accessor(integer(primitive, "indices", below=len(self._accessors)))
         if len(points) != stated or len(faces) != integer(index, "count"):
             raise InputError(
-                f"a Draco compressed part gives {len(points)} vertices and {len(faces)} indices; "
-                f"its accessors say {stated} and {index['count']}"
+                f"a part under KHR_draco_mesh_compression gives {len(points)} vertices and "
+                f"{len(faces)} indices; its accessors say {stated} and {index['count']}"
             )
         if not np.isfinite(points).all():
             raise InputError("has a coordinate that is no finite number")
@@ -134,9 +136,10 @@ class Accessors:
             raise InputError(f"bufferView {index} has byteStride {stride}; expected 4 to 252")
         return data[start : start + length], stride
 
-    def _table(
-        self, view: int, offset: int, dtype: np.dtype, count: int, width: int
-    ) -> NDArray[Any]:
+    def _table(self, item: Any, dtype: np.dtype, count: int, width: int) -> NDArray[Any]:
+        """The (count, width) values where an item's bufferView and byteOffset point."""
+        view = integer(item, "bufferView", below=len(self._views))
+        offset = integer(item, "byteOffset", 0)
         data, stride = self._view(view)
         size = dtype.itemsize * width
         stride = stride or size
@@ -145,12 +148,9 @@ class Accessors:
             raise InputError(
                 f"an accessor needs {needed} bytes of bufferView {view}, which has {len(data)}"
             )
-        steps = (stride, dtype.itemsize)
-        return np.ndarray((count, width), dtype, data, offset, steps).copy()
+        return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize)).copy()
 
-    def _values(
-        self, accessor: dict[str, Any], width: int, types: tuple[int, ...]
-    ) -> NDArray[Any]:
+    def _values(self, accessor: dict[str, Any], width: int, types: tuple[int, ...]) -> NDArray[Any]:
         """(count, width) as stored."""
         component, shape = accessor.get("componentType"), accessor.get("type")
         expected = {1: "SCALAR", 3: "VEC3"}[width]
@@ -164,8 +164,7 @@ class Accessors:
         if count < 1:
             raise InputError("an accessor has no values")
         if "bufferView" in accessor:
-            values = self._table(integer(accessor, "bufferView", below=len(self._views)),
-                                 integer(accessor, "byteOffset", 0), dtype, count, width)  # fmt: skip
+            values = self._table(accessor, dtype, count, width)
         elif sparse is None or count > 2**27:
             raise InputError("an accessor has no bufferView, so that a part has no data")
         else:
@@ -179,13 +178,10 @@ class Accessors:
         known(what, "sparse accessor", ("bufferView", "byteOffset"))
         if where.get("componentType") not in (5121, 5123, 5125) or not 1 <= changed <= count:
             raise InputError("a sparse accessor has wrong indices or a wrong count")
-        index_dtype = np.dtype(_TYPES[where["componentType"]])
-        rows = self._table(integer(where, "bufferView", below=len(self._views)),
-                           integer(where, "byteOffset", 0), index_dtype, changed, 1)[:, 0]  # fmt: skip
+        rows = self._table(where, np.dtype(_TYPES[where["componentType"]]), changed, 1)[:, 0]
         if (np.diff(rows.astype(np.int64)) <= 0).any() or rows[-1] >= count:
             raise InputError("the indices of a sparse accessor do not rise, or pass its count")
-        values[rows] = self._table(integer(what, "bufferView", below=len(self._views)),
-                                   integer(what, "byteOffset", 0), dtype, changed, width)  # fmt: skip
+        values[rows] = self._table(what, dtype, changed, width)
         return values
 
     @staticmethod

@@ -17,9 +17,7 @@ from renderers.sources.formats.polygons import Polygons
 from renderers.sources.formats.text import decimals, shown, unix_lines, whole
 
 _COMMENT = re.compile(rb"#[^\n]*")
-_CONTINUED = re.compile(
-    rb"^[ \t]*(?:v[tnp]?|fo?|l|p)\b[^\n\\]*(?:\\\n[^\n\\]*)+", re.MULTILINE
-)
+_CONTINUED = re.compile(rb"^[ \t]*(?:v[tnp]?|fo?|l|p)\b[^\n\\]*(?:\\\n[^\n\\]*)+", re.MULTILINE)
 _CORNER = re.compile(rb"([+-]?[0-9]+)(?:/[+-]?[0-9]*){0,2}")
 _CORNERS = re.compile(rb"(?:[+-]?[0-9]+(?:/[+-]?[0-9]*){0,2} )*")
 _DATA_ONLY = frozenset(
@@ -28,11 +26,11 @@ _DATA_ONLY = frozenset(
 )
 """Keywords that bear on no position."""
 _NO_SURFACE = {b"p": "points", b"l": "lines"}
+_FREE_FORM = (
+    b"curv curv2 surf cstype deg bmat step parm trim hole scrv sp end con res cdc cdp bzp bsp"
+)
 _REFUSED = {
-    **dict.fromkeys(
-        b"curv curv2 surf cstype deg bmat step parm trim hole scrv sp end con res cdc cdp bzp bsp".split(),
-        "free-form curves and surfaces",
-    ),
+    **dict.fromkeys(_FREE_FORM.split(), "free-form curves and surfaces"),
     b"call": "a call of another file",
     b"csh": "a command",
 }

@@ -8,6 +8,7 @@ reads plain triangles only. A ModelNet file is scanned by NumPy in one go.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,10 @@ _COUNTS = re.compile(rb"\s*(\S+)\s+(\S+)(?:[ \t]+(\S+))?")
 _BINARY = re.compile(rb"[ \t]*BINARY[ \t]*(?:\r\n|\r|\n)")
 _FACE_COLOURS = (0, 1, 3, 4)
 """Numbers behind a face's corners: none, an index into a colour map, RGB, RGBA."""
+
+
+_PLAIN = (3, 6, 7)
+"""Numbers of a vertex of plain OFF: colours are written behind it too."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +54,9 @@ def read_off(content: bytes) -> Polygons:
             word that is no number.
     """
     keyword = _KEYWORD.match(content.removeprefix(b"\xef\xbb\xbf"))
-    if keyword is not None and (start := _BINARY.match(content, keyword.end())):
+    if keyword is not None and (line := _BINARY.match(content, keyword.end())):
         layout, dimensions = _layout(keyword)
-        return _read_binary(content[start.end() :], layout, dimensions)
+        return _read_binary(content[line.end() :], layout, dimensions)
     if b"#" in content:
         content = _COMMENT.sub(b"", content)
     content = unix_lines(content)
@@ -71,8 +76,8 @@ def read_off(content: bytes) -> Polygons:
     counts = whole([match[1], match[2]], "one of the counts of vertices and faces")
     vertex_count, face_count = _require_counts(int(counts[0]), int(counts[1]))
     rest = body[match.end() :]
-    if layout.widths == (3, 6, 7) and (found := _read_regular(rest, vertex_count, face_count)):
-        return Polygons.of_triangles(*found)
+    if layout.widths == _PLAIN and (regular := _read_regular(rest, vertex_count, face_count)):
+        return Polygons.of_triangles(*regular)
     return _read_any(rest, vertex_count, face_count, layout)
 
 
@@ -82,9 +87,11 @@ def _layout(keyword: re.Match[bytes]) -> tuple[_Layout, bool]:
     if small is not None:
         return _layout(_KEYWORD.match(small.upper()) or keyword)
     width = 3 + bool(divided) + 3 * bool(normal) + 2 * bool(texture)
-    widths = (width + 4, width + 3) if colour else (width,)
-    if width == 3 and not colour:
-        widths = (3, 6, 7)  # colours are written behind plain OFF's vertices too
+    widths: tuple[int, ...] = (width,)
+    if colour:
+        widths = width + 4, width + 3
+    elif width == 3:
+        widths = _PLAIN
     return _Layout(bool(divided), widths), bool(dimension)
 
 
@@ -127,59 +134,75 @@ def _read_regular(
 
 
 def _read_any(body: bytes, vertex_count: int, face_count: int, layout: _Layout) -> Polygons:
-    """By lines where there is one for each vertex and face, else as one stream of words.
+    """By lines where there is about one for each vertex and face, else as one stream of words.
 
     Either way nothing may be left over, so that no count is taken for less than is there.
     """
     lines = [words for line in body.split(b"\n") if (words := line.split())]
     stated = vertex_count + face_count
-    if len(lines) == stated + 1 and len(lines[0]) == 1:
-        lines = lines[1:]  # the count of edges, on a line of its own
-    if len(lines) == stated:
-        width = len(lines[0])
-        if width in layout.widths and all(len(w) == width for w in lines[:vertex_count]):
-            faces = [_face_of_line(k, w) for k, w in enumerate(lines[vertex_count:])]
-            words = [word for line in lines[:vertex_count] for word in line]
-            return _assemble(_positions(words, vertex_count, width, layout), faces)
-    words = [word for line in lines for word in line]
-    exact = layout.widths[:1] if layout.widths == (3, 6, 7) else layout.widths
-    reasons = []
-    # A count of edges behind a line end looks like a coordinate: the one reading fits, or no other.
-    for skipped in (0, 1):
-        for width in exact:
-            try:
+    # A count of edges may stand on a line of its own.
+    without_edges = lines[1:] if len(lines) > 1 and len(lines[0]) == 1 else lines
+    if len(without_edges) == stated:
+        return _read_lines(without_edges, vertex_count, layout)
+    # A file by lines that lost or won a few must not pass for a stream.
+    if len(lines) <= 4 or abs(len(lines) - stated) > 2:
+        words = [word for line in lines for word in line]
+        for skipped in {0, len(lines) - len(without_edges)}:
+            for width in layout.widths[:1] if layout.widths == _PLAIN else layout.widths:
+                vertices = words[skipped : skipped + width * vertex_count]
                 faces = _faces_of_words(words[skipped + width * vertex_count :], face_count)
-            except InputError as error:
-                reasons.append(str(error))
-                continue
-            taken = words[skipped : skipped + width * vertex_count]
-            return _assemble(_positions(taken, vertex_count, width, layout), faces)
+                if faces is not None:
+                    numbers = decimals(vertices, "a number of a vertex")
+                    points = _divided(numbers.reshape(vertex_count, width), layout)
+                    return Polygons.of_faces(points, *faces)
     if len(lines) < stated:
         found = f"vertex {len(lines)} of {vertex_count}"
         if len(lines) >= vertex_count:
             found = f"face {len(lines) - vertex_count} of {face_count}"
-        raise InputError(
-            f"the file ends after {found}, a line each; it was cut short or its counts are wrong"
-        )
-    if len(lines) > stated:
-        raise InputError(
-            f"{len(lines)} lines follow the counts of {vertex_count} vertices and {face_count} "
-            f"faces; expected {stated}: the counts are wrong or something was added"
-        )
-    for k, line in enumerate(lines[:vertex_count]):
-        if len(line) not in layout.widths or len(line) != len(lines[0]):
+        raise InputError(f"the file ends after {found}; it was cut short or its counts are wrong")
+    raise InputError(
+        f"{len(lines)} lines follow the counts of {vertex_count} vertices and {face_count} "
+        f"faces; expected {stated}: the counts are wrong or something was added"
+    )
+
+
+def _read_lines(lines: list[list[bytes]], vertex_count: int, layout: _Layout) -> Polygons:
+    """One vertex or face a line, colours behind them left out."""
+    rows, faces = lines[:vertex_count], lines[vertex_count:]
+    width = len(rows[0]) if len(rows[0]) in layout.widths else layout.widths[0]
+    for k, row in enumerate(rows):
+        if len(row) != width:
             expected = " or ".join(map(str, layout.widths))
             raise InputError(
-                f"vertex {k} is {shown(line)!r}; expected {expected} numbers, as many in each"
+                f"vertex {k} is {shown(row)!r}; expected {expected} numbers, as many in each"
             )
-    raise InputError(reasons[0])
+    numbers = _numbers(rows, decimals, "vertex", "numbers").reshape(-1, width)
+    sizes = _numbers([face[:1] for face in faces], whole, "face", "a count first")
+    for k, (face, size) in enumerate(zip(faces, sizes.tolist(), strict=True)):
+        if size < 1 or len(face) - 1 - size not in _FACE_COLOURS:
+            raise InputError(
+                f"face {k} is {shown(face)!r}; expected a count, as many vertex indices, and at "
+                f"most a colour behind them"
+            )
+    pairs = list(zip(faces, sizes.tolist(), strict=True))
+    corners = _numbers([f[1 : 1 + n] for f, n in pairs], whole, "face", "vertex indices")
+    _numbers([f[1 + n :] for f, n in pairs], decimals, "the colour of face", "numbers")
+    return Polygons.of_faces(_divided(numbers, layout), corners, sizes)
 
 
-def _positions(
-    words: list[bytes], count: int, width: int, layout: _Layout
-) -> NDArray[np.float64]:
-    numbers = decimals(words, "a word of the vertices").reshape(count, width)
-    return _divided(numbers, layout)
+def _numbers(
+    rows: list[list[bytes]], parse: Callable[..., NDArray], what: str, expected: str
+) -> NDArray:
+    """All words of the rows as numbers; the error names the first row that has another."""
+    try:
+        return parse([word for row in rows for word in row], "")
+    except InputError:
+        for k, row in enumerate(rows):
+            try:
+                parse(row, "")
+            except InputError:
+                raise InputError(f"{what} {k} is {shown(row)!r}; expected {expected}") from None
+        raise
 
 
 def _divided(numbers: NDArray, layout: _Layout) -> NDArray[np.float64]:
@@ -192,42 +215,25 @@ def _divided(numbers: NDArray, layout: _Layout) -> NDArray[np.float64]:
     return points / divisor
 
 
-def _face_of_line(k: int, words: list[bytes]) -> list[bytes]:
-    count = int(whole(words[:1], f"the count of face {k}")[0])
-    extra = len(words) - 1 - count
-    if count < 1 or extra not in _FACE_COLOURS:
-        raise InputError(
-            f"face {k} is {shown(words)!r}; expected a count, as many vertex indices, and a colour "
-            f"of {', '.join(map(str, _FACE_COLOURS))} numbers"
-        )
-    decimals(words[1 + count :], f"a colour of face {k}")
-    return words[1 : 1 + count]
-
-
-def _faces_of_words(words: list[bytes], face_count: int) -> list[list[bytes]]:
-    """Faces one behind the other, without colours."""
-    faces = []
+def _faces_of_words(words: list[bytes], face_count: int) -> tuple[NDArray, NDArray] | None:
+    """Corners and sizes of faces one behind the other, without colours; None where words differ."""
+    try:
+        numbers = whole(words, "")
+    except InputError:
+        return None
+    corners: list[NDArray] = []
+    sizes: list[int] = []
     at = 0
-    for k in range(face_count):
-        if at >= len(words):
-            raise InputError(f"the file ends after face {k} of {face_count}; it was cut short")
-        count = int(whole(words[at : at + 1], f"the count of face {k}")[0])
-        if count < 1 or at + 1 + count > len(words):
-            raise InputError(
-                f"face {k} is {shown(words[at : at + 8])!r}; expected a count and as many vertex "
-                f"indices"
-            )
-        faces.append(words[at + 1 : at + 1 + count])
-        at += 1 + count
-    if at != len(words):
-        raise InputError(f"{len(words) - at} words follow the last of {face_count} faces")
-    return faces
-
-
-def _assemble(vertices: NDArray[np.float64], faces: list[list[bytes]]) -> Polygons:
-    sizes = np.array([len(face) for face in faces], np.int64)
-    words = [word for face in faces for word in face]
-    return Polygons.of_faces(vertices, whole(words, "a vertex index"), sizes)
+    while at < len(numbers) and len(sizes) < face_count:
+        size = int(numbers[at])
+        if size < 3:
+            return None
+        corners.append(numbers[at + 1 : at + 1 + size])
+        sizes.append(size)
+        at += 1 + size
+    if at != len(numbers) or len(sizes) < face_count:
+        return None
+    return np.concatenate(corners), np.array(sizes, np.int64)
 
 
 def _read_binary(data: bytes, layout: _Layout, has_dimension: bool) -> Polygons:

@@ -97,9 +97,7 @@ def _read_ascii(
     return columns
 
 
-def _ascii_columns(
-    rows: list[list[bytes]], element: PlyElement, names: tuple[str, ...]
-) -> Columns:
+def _ascii_columns(rows: list[list[bytes]], element: PlyElement, names: tuple[str, ...]) -> Columns:
     found: dict[str, list[bytes]] = {p.name: [] for p in element.properties if p.name in names}
     lengths: dict[str, list[int]] = {name: [] for name in found}
     lists = any(p.length_dtype for p in element.properties)
@@ -170,7 +168,10 @@ def _binary_columns(
             within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             first = np.repeat(starts[:, k], count) + within * dtype.itemsize
             values = raw[first[:, None] + np.arange(dtype.itemsize)].reshape(-1).view(dtype)
-            columns[each.name] = values.astype(np.float64 if each.dtype[0] == "f" else np.int64), count
+            columns[each.name] = (
+                values.astype(np.float64 if each.dtype[0] == "f" else np.int64),
+                count,
+            )
     return columns, end
 
 

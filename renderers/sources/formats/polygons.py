@@ -61,7 +61,9 @@ class Polygons:
         if not edges.any():
             return whole
         if edges.all():
-            raise InputError(f"none of its {len(edges)} faces has three corners; expected a surface")
+            raise InputError(
+                f"none of its {len(edges)} faces has three corners; expected a surface"
+            )
         return cls(
             whole.vertices,
             whole.corners[np.repeat(~edges, whole.sizes)],
