@@ -104,7 +104,7 @@ def normalise(mesh: trimesh.Trimesh, name: str = "the mesh") -> trimesh.Trimesh:
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if not len(faces):
         raise InputError(f"{name}: has no faces")
-    if not np.isfinite(vertices).all() and not np.isfinite(vertices[faces]).all():
+    if not (np.isfinite(vertices).all() or np.isfinite(vertices[faces]).all()):
         raise InputError(f"{name}: has vertices that are NaN or infinite")
     with_area = _have_area(vertices, faces)
     if not with_area.all():
@@ -133,23 +133,35 @@ def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArr
 
     Each by its own size: neither a body far from the origin nor a tiny one loses its faces.
     """
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    # Halved first, as above.
-    one, two = b / 2 - a / 2, c / 2 - a / 2
-    size = np.maximum(np.abs(one).max(axis=1), np.abs(two).max(axis=1))
-    scale = np.where(size > 0, size, 1)[:, None]
-    one, two = one / scale, two / scale
-    cross = np.stack(
-        [
-            one[:, 1] * two[:, 2] - one[:, 2] * two[:, 1],
-            one[:, 2] * two[:, 0] - one[:, 0] * two[:, 2],
-            one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0],
-        ]
-    )
-    largest = np.maximum(np.maximum(np.abs(a).max(axis=1), np.abs(b).max(axis=1)), np.abs(c).max(1))
-    with np.errstate(over="ignore"):
-        rounding = 8 * EPSILON * np.maximum(largest / 2 / scale[:, 0], 1)
-    return np.abs(cross).max(axis=0) > rounding
+    largest = float(np.abs(vertices).max())
+    have = np.zeros(len(faces), bool)
+    if 1e-100 < largest < 1e100:
+        # No face of this mesh can be rounded by as much, so that most need no closer look.
+        have = np.abs(_cross(vertices, faces)).max(axis=0) > 32 * EPSILON * largest**2
+    doubtful = np.flatnonzero(~have)
+    if len(doubtful):
+        corners = vertices[faces[doubtful]]
+        reach = np.abs(corners).max(axis=(1, 2)) / 2
+        # Halved first, as above.
+        corners = corners / 2 - corners[:, :1] / 2
+        size = np.abs(corners).max(axis=(1, 2))
+        scale = np.where(size > 0, size, 1)
+        corners /= scale[:, None, None]
+        with np.errstate(over="ignore"):
+            rounding = 8 * EPSILON * np.maximum(reach / scale, 1)
+        each = np.arange(3 * len(doubtful)).reshape(-1, 3)
+        have[doubtful] = np.abs(_cross(corners.reshape(-1, 3), each)).max(axis=0) > rounding
+    return have
+
+
+def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The cross products of two sides of triangles, (3,F): several times as fast as np.cross."""
+    a, b, c = faces.T
+    x, y, z = np.ascontiguousarray(vertices.T)
+    ax, ay, az = x[a], y[a], z[a]
+    bx, by, bz = x[b] - ax, y[b] - ay, z[b] - az
+    cx, cy, cz = x[c] - ax, y[c] - ay, z[c] - az
+    return np.stack([by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx])
 
 
 def _mesh(vertices: NDArray, faces: NDArray, notices: tuple[str, ...] = ()) -> trimesh.Trimesh:

@@ -58,9 +58,12 @@ def _obj(content: bytes) -> dict[str, int]:
 
 
 def _off(content: bytes) -> dict[str, int]:
-    keyword = _OFF.match(re.sub(rb"#[^\r\n]*", b" ", content[:10_000]))
+    head = content[:1000]
+    if b"#" in head:
+        head = re.sub(rb"#[^\r\n]*", b" ", content)[:1000]
+    keyword = _OFF.match(head)
     if keyword is None or not keyword[1].strip():
-        numbers = re.findall(rb"[0-9]+", re.sub(rb"#[^\r\n]*", b" ", content)[:10_000])
+        numbers = re.findall(rb"[0-9]+", head)
         # The keyword's own figure, and the dimension that follows nOFF.
         start = (b"4OFF" in content[:20].upper()) + (b"nOFF" in content[:20])
         return {"vertices": int(numbers[start]), "faces": int(numbers[start + 1])}
@@ -82,7 +85,7 @@ def _ply(content: bytes) -> dict[str, int]:
 def _stl(content: bytes) -> dict[str, int]:
     facets, rest = divmod(len(content) - 84, 50)
     if rest or content[80:84] != struct.pack("<I", max(facets, 0)):
-        facets = len(re.findall(rb"\bendfacet\b", content, re.IGNORECASE))
+        facets = content.lower().count(b"endfacet")
     return {"vertices": 3 * facets, "faces": facets}
 
 

@@ -58,8 +58,9 @@ def read_obj(content: bytes) -> Polygons:
     sizes: list[int] = []
     before: list[int] = []  # vertices when a face stands
     left_out: dict[str, int] = {}
+    comments = b"#" in text
     for number, line in enumerate(text.split(b"\n"), 1):
-        if b"#" in line:
+        if comments:
             line = line.partition(b"#")[0]
         words = line.split()
         if not words:
@@ -69,7 +70,8 @@ def read_obj(content: bytes) -> Polygons:
             if len(words) < 4:
                 raise InputError(f"line {number} is {shown(words)!r}; expected three coordinates")
             coordinates += words[1:4]
-            besides += words[4:]
+            if len(words) > 4:
+                besides += words[4:]
         elif keyword in (b"f", b"fo"):
             if len(words) < 4:
                 raise InputError(f"line {number} is {shown(words)!r}; expected three corners")

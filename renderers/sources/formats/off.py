@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from partialbench.errors import InputError
 from renderers.sources.formats.polygons import Polygons
-from renderers.sources.formats.text import LONE_SIGN, decimals, shown, unix_lines, whole
+from renderers.sources.formats.text import decimals, shown, unix_lines, whole
 
 _COMMENT = re.compile(rb"#[^\r\n]*")
 _KEYWORD = re.compile(rb"\s*(?:(ST)?(C)?(N)?(4)?(n)?OFF|((?:st)?c?n?4?off))(?![A-Za-z])")
@@ -128,7 +128,8 @@ def _read_regular(
     if len(coordinates) != 3 * vertex_count or len(corners) != 4 * face_count:
         return None
     rows = corners.reshape(face_count, 4)
-    if not (rows[:, 0] == 3).all() or LONE_SIGN.search(body, end):
+    # NumPy takes a sign without digits for 0; no index has one.
+    if not (rows[:, 0] == 3).all() or max(body.find(b"-", end), body.find(b"+", end)) >= 0:
         return None
     return coordinates.reshape(vertex_count, 3), rows[:, 1:]
 

@@ -155,53 +155,53 @@ def _binary_columns(
     body: bytes, at: int, element: PlyElement, order: str, names: tuple[str, ...]
 ) -> tuple[Columns, int]:
     """An element's columns and where the next begins."""
-    starts, lengths, end = _steady_rows(body, at, element, order)
-    if starts is None:
+    one = PlyElement(element.name, 1, element.properties)
+    starts, lengths, first_end = _varied_rows(body, at, one, order)
+    stride, end = first_end - at, at + (first_end - at) * element.count
+    steady = _all_as_the_first(body, starts[0], lengths[0], stride, element, order)
+    if not steady:
         starts, lengths, end = _varied_rows(body, at, element, order)
     columns = {}
     raw = np.frombuffer(body, np.uint8)
     for k, each in enumerate(element.properties):
-        if each.name in names:
-            dtype = np.dtype(order + each.dtype)
+        if each.name not in names:
+            continue
+        dtype = np.dtype(order + each.dtype)
+        if steady:
+            shape = element.count, int(lengths[0, k])
+            values = np.ndarray(shape, dtype, body, int(starts[0, k]), (stride, dtype.itemsize))
+            count = np.full(shape[0], shape[1])
+        else:
             count = lengths[:, k]
             # The bytes of a value are at its row's start and its place in the row.
             within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
             first = np.repeat(starts[:, k], count) + within * dtype.itemsize
             values = raw[first[:, None] + np.arange(dtype.itemsize)].reshape(-1).view(dtype)
-            columns[each.name] = (
-                values.astype(np.float64 if each.dtype[0] == "f" else np.int64),
-                count,
-            )
+        exact = np.float64 if each.dtype[0] == "f" else np.int64
+        columns[each.name] = values.reshape(-1).astype(exact), count
     return columns, end
 
 
-def _steady_rows(
-    body: bytes, at: int, element: PlyElement, order: str
-) -> tuple[NDArray | None, NDArray, int]:
-    """Where each property's values begin, (n,p), and how many (n,p), if all rows are as the first.
-
-    None where they are not.
-    """
-    one = PlyElement(element.name, 1, element.properties)
-    starts, lengths, end = _varied_rows(body, at, one, order)
-    size, rows = end - at, element.count
-    whole_end = at + size * rows
-    steady = size > 0 and whole_end <= len(body)
+def _all_as_the_first(
+    body: bytes, starts: NDArray, lengths: NDArray, stride: int, element: PlyElement, order: str
+) -> bool:
+    """Whether all rows have lists as long as the first's, so that they are equally far apart."""
+    first_of_row = int(starts[0]) - np.dtype(element.properties[0].length_dtype or "V0").itemsize
+    if stride == 0 or first_of_row + stride * element.count > len(body):
+        return False
     for k, each in enumerate(element.properties):
-        if steady and each.length_dtype:
+        if each.length_dtype:
             dtype = np.dtype(order + each.length_dtype)
-            first = int(starts[0, k]) - dtype.itemsize
-            table = np.ndarray((rows,), dtype, body, first, (size,))
-            steady = bool((table == lengths[0, k]).all())
-    if not steady:
-        return None, lengths, end
-    return starts + size * np.arange(rows)[:, None], np.repeat(lengths, rows, axis=0), whole_end
+            at = int(starts[k]) - dtype.itemsize
+            if (np.ndarray((element.count,), dtype, body, at, (stride,)) != lengths[k]).any():
+                return False
+    return True
 
 
 def _varied_rows(
     body: bytes, at: int, element: PlyElement, order: str
 ) -> tuple[NDArray, NDArray, int]:
-    """As ``_steady_rows``, row by row."""
+    """Where each property's values begin, (n,p), how many they are, (n,p), and the rows' end."""
     byteorder = "big" if order == ">" else "little"
     layout = [
         (np.dtype(each.dtype).itemsize,

@@ -17,7 +17,9 @@ from renderers.sources.formats.text import decimals, shown, unix_lines
 
 _HEADER, _RECORD = 84, 50
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_NOT_FACETS = re.compile(rb"^[ \t]*(?:(end)?solid\b|[;#]).*$", re.IGNORECASE | re.MULTILINE)
+_COMMENT = re.compile(rb"^[ \t]*[;#].*$", re.MULTILINE)
+_SOLID = re.compile(rb"solid[^\n]*")
+"""From the word to the line's end: a solid's name may be anything."""
 _FACET = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet"
 _WORDS = _FACET.split()
 _KEYWORDS = [k for k, word in enumerate(_WORDS) if word != b"0"]
@@ -66,25 +68,33 @@ def _looks_like_text(content: bytes) -> bool:
 
 
 def _read_ascii(content: bytes) -> np.ndarray:
-    text = unix_lines(content)
-    opened = len(re.findall(rb"^[ \t]*solid\b", text, re.IGNORECASE | re.MULTILINE))
-    closed = len(re.findall(rb"^[ \t]*endsolid\b", text, re.IGNORECASE | re.MULTILINE))
-    if opened != closed:
+    text = unix_lines(content).lower()
+    if b";" in text or b"#" in text:
+        text = _COMMENT.sub(b"", text)
+    opened = closed = at = 0
+    between = []
+    for found in _SOLID.finditer(text):
+        start = text.rfind(b"\n", 0, found.start()) + 1
+        before = text[start : found.start()].strip()
+        opened, closed = opened + (before == b""), closed + (before == b"end")
+        between.append(text[at : found.start() - len(before)])
+        at = found.end()
+    if opened != closed or 2 * opened != len(between):
         raise InputError(
-            f"the ASCII STL begins {opened} solids and ends {closed}; it was cut short"
+            f"the ASCII STL begins {opened} solids and ends {closed}; it was cut short or is "
+            f"damaged"
         )
-    words = _NOT_FACETS.sub(b"", text).split()
+    words = b"".join([*between, text[at:]]).split()
     size = len(_WORDS)
     if not words:
         raise InputError("the ASCII STL has no facets")
-    for k in _KEYWORDS:
-        found = [word.lower() for word in words[k::size]]
-        if len(found) * size != len(words) or found.count(_WORDS[k]) != len(found):
-            raise InputError(_first_wrong(words))
-    rows = np.array(words, object).reshape(-1, size)
-    decimals(rows[:, _NORMAL].ravel().tolist(), "a normal's component")  # NaN is often there
-    numbers = decimals(rows[:, _COORDINATES].ravel().tolist(), "a coordinate")
-    return numbers.reshape(-1, 3, 3)
+    count, left = divmod(len(words), size)
+    if left or any(set(words[k::size]) != {_WORDS[k]} for k in _KEYWORDS):
+        raise InputError(_first_wrong(words))
+    for k in _NORMAL:
+        decimals(words[k::size], "a normal's component")  # NaN is often there
+    numbers = [decimals(words[k::size], "a coordinate") for k in _COORDINATES]
+    return np.stack(numbers, axis=1).reshape(count, 3, 3)
 
 
 def _first_wrong(words: list[bytes]) -> str:
@@ -92,7 +102,7 @@ def _first_wrong(words: list[bytes]) -> str:
     size = len(_WORDS)
     for start in range(0, len(words), size):
         facet = words[start : start + size]
-        if len(facet) < size or any(facet[k].lower() != _WORDS[k] for k in _KEYWORDS):
+        if len(facet) < size or any(facet[k] != _WORDS[k] for k in _KEYWORDS):
             return (
                 f"facet {start // size} of the ASCII STL is {shown(facet)!r} …; expected facet "
                 f"normal, outer loop, three vertices, endloop, endfacet: cut short or damaged"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from partialbench.errors import InputError
 
 # NumPy's scanner of whole numbers takes a sign without digits for 0.
-LONE_SIGN = re.compile(rb"[+-](?![0-9])")
+_LONE_SIGN = re.compile(rb"[+-](?![0-9])")
 
 
 def decimals(words: Sequence[bytes], what: str) -> NDArray[np.float64]:
@@ -42,7 +42,7 @@ def _from_text(text: bytes, dtype: type) -> NDArray | None:
     """
     if not text.strip():
         return np.zeros(0, dtype)
-    if dtype is np.int64 and LONE_SIGN.search(text):
+    if dtype is np.int64 and _LONE_SIGN.search(text):
         return None
     with warnings.catch_warnings():
         # NumPy before 2.3 warned where later ones raise.
