@@ -2,8 +2,7 @@
 
 Source: G. Turk, "The PLY Polygon File Format" (1994). plyfile read every file that was tried, but
 took 160 times as long as NumPy for a binary mesh of triangles and rounds what an ASCII file says
-to the header's float32; the tests hold this reader against it. trimesh and meshio each fail on
-several of the usual kinds.
+to the header's float32. trimesh and meshio each fail on several of the usual kinds.
 """
 
 from __future__ import annotations
