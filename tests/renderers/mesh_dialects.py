@@ -137,7 +137,7 @@ def glb(document: dict, binary: bytes) -> bytes:
 
 def scene(points: np.ndarray = VERTICES, dtype: str = "<f4", component: int = 5126,
           node: dict | None = None, mode: int = 4, indexed: bool = True,
-          faces: list[list[int]] = TRIANGLES, **accessor: object) -> tuple[dict, bytes]:  # fmt: skip
+          faces: list[list[int]] = TRIANGLES, **accessor: object) -> tuple:  # fmt: skip
     """A glTF document of one part and its buffer."""
     triangles = np.array(faces)
     if not indexed:

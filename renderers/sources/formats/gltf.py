@@ -28,6 +28,11 @@ _MODES = ("points", "lines", "line loops", "line strips", "triangles", "strips",
 _HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "EXT_lights_")
 """Extensions that bear on no position."""
 _UNDERSTOOD = ("KHR_mesh_quantization", "KHR_draco_mesh_compression", "KHR_xmp_json_ld")
+_DOCUMENT = (
+    "accessors", "animations", "asset", "buffers", "bufferViews", "cameras", "extensionsUsed",
+    "extensionsRequired", "images", "materials", "meshes", "nodes", "samplers", "scene", "scenes",
+    "skins", "textures",
+)  # fmt: skip
 _PLACING = ("EXT_mesh_gpu_instancing", "KHR_node_visibility", "MSFT_lod")
 """Extensions of a node that change what of it is there."""
 
@@ -55,6 +60,7 @@ def read_gltf(content: bytes) -> Polygons:
             required extension that is not known.
     """
     document, binary = _unpack(content)
+    known(document, "file", _DOCUMENT)
     version = str(document.get("asset", {}).get("version", ""))
     if version.split(".")[0] != "2":
         raise InputError(f"is glTF version {version or 'unknown'}; expected 2.0")

@@ -147,20 +147,16 @@ def _read_any(body: bytes, vertex_count: int, face_count: int, layout: _Layout) 
         return _read_lines(without_edges, vertex_count, layout)
     # A file by lines that lost or won a few must not pass for a stream.
     if len(lines) <= 4 or abs(len(lines) - stated) > 2:
-        words = [word for line in lines for word in line]
-        for skipped in {0, len(lines) - len(without_edges)}:
+        for start in (lines, without_edges):
             for width in layout.widths[:1] if layout.widths == _PLAIN else layout.widths:
-                vertices = words[skipped : skipped + width * vertex_count]
-                faces = _faces_of_words(words[skipped + width * vertex_count :], face_count)
-                if faces is not None:
-                    numbers = decimals(vertices, "a number of a vertex")
-                    points = _divided(numbers.reshape(vertex_count, width), layout)
-                    return Polygons.of_faces(points, *faces)
+                found = _read_stream(start, vertex_count, face_count, width, layout)
+                if found is not None:
+                    return found
     if len(lines) < stated:
-        found = f"vertex {len(lines)} of {vertex_count}"
+        end = f"vertex {len(lines)} of {vertex_count}"
         if len(lines) >= vertex_count:
-            found = f"face {len(lines) - vertex_count} of {face_count}"
-        raise InputError(f"the file ends after {found}; it was cut short or its counts are wrong")
+            end = f"face {len(lines) - vertex_count} of {face_count}"
+        raise InputError(f"the file ends after {end}; it was cut short or its counts are wrong")
     raise InputError(
         f"{len(lines)} lines follow the counts of {vertex_count} vertices and {face_count} "
         f"faces; expected {stated}: the counts are wrong or something was added"
@@ -214,6 +210,21 @@ def _divided(numbers: NDArray, layout: _Layout) -> NDArray[np.float64]:
     if not (np.isfinite(divisor) & (divisor != 0)).all():
         raise InputError("the fourth number of a 4OFF vertex is 0 or not finite")
     return points / divisor
+
+
+def _read_stream(
+    lines: list[list[bytes]], vertex_count: int, face_count: int, width: int, layout: _Layout
+) -> Polygons | None:
+    """Words one behind the other, no colour behind a face; None where they are no such thing."""
+    by_line = [len(line) == width for line in lines[:vertex_count]]
+    if any(by_line[: vertex_count // 2]) and not all(by_line):
+        return None  # vertices a line each, some of them damaged
+    words = [word for line in lines for word in line]
+    faces = _faces_of_words(words[width * vertex_count :], face_count)
+    if faces is None:
+        return None
+    numbers = decimals(words[: width * vertex_count], "a number of a vertex")
+    return Polygons.of_faces(_divided(numbers.reshape(vertex_count, width), layout), *faces)
 
 
 def _faces_of_words(words: list[bytes], face_count: int) -> tuple[NDArray, NDArray] | None:

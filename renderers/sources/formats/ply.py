@@ -97,38 +97,47 @@ def _read_ascii(
 
 
 def _ascii_columns(rows: list[list[bytes]], element: PlyElement, names: tuple[str, ...]) -> Columns:
-    found: dict[str, list[bytes]] = {p.name: [] for p in element.properties if p.name in names}
+    found: dict[str, list[bytes]] = {p.name: [] for p in element.properties}
     lengths: dict[str, list[int]] = {name: [] for name in found}
-    lists = any(p.length_dtype for p in element.properties)
-    steady = not lists and all(len(row) == len(element.properties) for row in rows)
-    if steady:
-        for k, each in enumerate(element.properties):
-            if each.name in found:
-                found[each.name] = [row[k] for row in rows]
-                lengths[each.name] = [1] * len(rows)
-        rows = []
-    for k, row in enumerate(rows):
-        at = 0
-        for each in element.properties:
-            count = 1
-            if each.length_dtype:
-                count = int(row[at]) if at < len(row) and row[at].isdigit() else len(row)
-                at += 1
-            if each.name in found:
+    if any(p.length_dtype for p in element.properties):
+        for k, row in enumerate(rows):
+            at = 0
+            for each in element.properties:
+                count = 1
+                if each.length_dtype:
+                    count = int(row[at]) if at < len(row) and row[at].isdigit() else len(row)
+                    at += 1
                 found[each.name] += row[at : at + count]
                 lengths[each.name].append(count)
-            at += count
-        if at != len(row):
-            raise InputError(
-                f"{element.name} {k} of the ASCII PLY is {shown(row)!r}, which is "
-                f"{'less' if at > len(row) else 'more'} than its properties take; it was cut "
-                f"short or is damaged"
-            )
-    number = whole if names == _FACES else decimals
+                at += count
+            if at != len(row):
+                raise _wrong_row(element, k, row, at)
+    else:
+        width = len(element.properties)
+        for k, row in enumerate(rows):
+            if len(row) != width:
+                raise _wrong_row(element, k, row, width)
+        for k, each in enumerate(element.properties):
+            found[each.name] = [row[k] for row in rows]
+            lengths[each.name] = [1] * len(rows)
+    # What bears on no position must be numbers too: words that are none tell of damage.
     return {
-        name: (number(words, f"a {name} of a {element.name}"), np.array(lengths[name], np.int64))
+        name: (
+            (whole if names == _FACES and name in names else decimals)(
+                words, f"a {name} of a {element.name}"
+            ),
+            np.array(lengths[name], np.int64),
+        )
         for name, words in found.items()
     }
+
+
+def _wrong_row(element: PlyElement, k: int, row: list[bytes], expected: int) -> InputError:
+    return InputError(
+        f"{element.name} {k} of the ASCII PLY is {shown(row)!r}, which is "
+        f"{'less' if expected > len(row) else 'more'} than its properties take; it was cut short "
+        f"or is damaged"
+    )
 
 
 def _read_binary(
