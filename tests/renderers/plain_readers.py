@@ -379,7 +379,7 @@ def read_dae(content: bytes) -> list[Polygon]:
                     else:
                         yield run
 
-    def node(item: ElementTree.Element) -> Iterator[tuple[Polygon, bool]]:
+    def node(item: ElementTree.Element) -> Iterator[Polygon]:
         steps = [(e.tag, [number(w) for w in words_of(e.text or "")]) for e in item
                  if e.tag in ("translate", "rotate", "scale")]  # fmt: skip
 
@@ -390,9 +390,15 @@ def read_dae(content: bytes) -> list[Polygon]:
                 elif kind == "scale":
                     p = (p[0] * v[0], p[1] * v[1], p[2] * v[2])
                 else:
-                    assert v[:3] == [0, 0, 1]
+                    # p turned about the axis u: u (u·p) + c (p − u (u·p)) + s u × p.
+                    length = math.hypot(*v[:3])
+                    u = (v[0] / length, v[1] / length, v[2] / length)
                     c, s = math.cos(math.radians(v[3])), math.sin(math.radians(v[3]))
-                    p = (c * p[0] - s * p[1], s * p[0] + c * p[1], p[2])
+                    along = sum(a * b for a, b in zip(u, p, strict=True))
+                    cross = (u[1] * p[2] - u[2] * p[1], u[2] * p[0] - u[0] * p[2],
+                             u[0] * p[1] - u[1] * p[0])  # fmt: skip
+                    p = tuple(a * along + c * (b - a * along) + s * d
+                              for a, b, d in zip(u, p, cross, strict=True))  # fmt: skip
             return p
 
         mirrored = math.prod(math.prod(v) for kind, v in steps if kind == "scale") < 0

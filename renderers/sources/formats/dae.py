@@ -140,6 +140,8 @@ class _Reader:
         else:
             if len(corners) != count:
                 raise InputError(f"<{kind}> says {count}, but lists {len(corners)}")
+            if any(len(run) < 3 for run in corners):
+                raise InputError(f"<{kind}> has a run of fewer than three corners")
             cut = {"tristrips": of_strip, "trifans": of_fan}.get(kind)
             if cut is not None:
                 corners = [triangle for run in corners for triangle in cut(run)]

@@ -52,7 +52,10 @@ def read_ply(content: bytes) -> Polygons:
         for row in np.split(values.astype(np.int64), np.cumsum(lengths)[:-1]):
             # −1 ends a strip and begins the next.
             for strip in np.split(row, np.flatnonzero(row == -1)):
-                triangles = of_strip(strip[strip != -1])
+                strip = strip[strip != -1]
+                if 0 < len(strip) < 3:
+                    raise InputError("a strip of triangles has fewer than three corners")
+                triangles = of_strip(strip)
                 corners.append(triangles.reshape(-1))
                 sizes.append(np.full(len(triangles), 3))
     return Polygons.of_faces(vertices, np.concatenate(corners), np.concatenate(sizes))

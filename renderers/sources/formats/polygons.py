@@ -49,7 +49,8 @@ class Polygons:
         """From faces of any size, of which those of fewer than three corners are left out.
 
         Raises:
-            InputError: none is left, or one, left out or not, names a vertex that is not there.
+            InputError: none is left, one has no corner at all, or one, left out or not, names a
+                vertex that is not there.
         """
         whole = cls(
             np.asarray(vertices, np.float64),
@@ -57,6 +58,8 @@ class Polygons:
             np.asarray(sizes, np.int64),
         )
         whole.require_sound()
+        if (whole.sizes < 1).any():
+            raise InputError("a face has no corners; the file is damaged")
         edges = whole.sizes < 3
         if not edges.any():
             return whole
@@ -161,16 +164,20 @@ class Polygons:
             ends = np.array([len(plane)], np.uint32)
             ears = mapbox_earcut.triangulate_float64(np.ascontiguousarray(plane), ends)
             ears = ears.reshape(-1, 3).astype(np.int64)
-            a, b = plane[ears[:, 1]] - plane[ears[:, 0]], plane[ears[:, 2]] - plane[ears[:, 0]]
-            turns = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
-            if abs(float(np.abs(turns).sum()) - area) <= AREA_TOLERANCE * area:
-                # Ears may come the other way round than the polygon goes.
-                ears[turns < 0] = ears[turns < 0][:, ::-1]
+            a, b = points[0][ears[:, 1]], points[0][ears[:, 2]]
+            vectors = np.cross(a - points[0][ears[:, 0]], b - points[0][ears[:, 0]]) / 2
+            turns = vectors @ normals[0]
+            # Ears may come the other way round than the polygon goes.
+            ears[turns < 0] = ears[turns < 0][:, ::-1]
+            vectors[turns < 0] *= -1
+            whole = np.linalg.norm(vectors.sum(axis=0) - area * normals[0])
+            if max(whole, abs(float(np.abs(turns).sum()) - area)) <= AREA_TOLERANCE * area:
                 return corners[ears]
         named = ", ".join(map(str, corners[:8].tolist())) + (", …" if len(corners) > 8 else "")
         raise InputError(
             f"face {face}, a polygon of {len(corners)} corners (vertices {named}, the first being "
-            f"0), crosses itself, so that what it encloses is not defined; cut it into triangles"
+            f"0), crosses itself or is far from flat, so that what it encloses is not defined; cut "
+            f"it into triangles"
         )
 
 

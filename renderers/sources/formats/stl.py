@@ -18,7 +18,7 @@ from renderers.sources.formats.text import decimals, shown, unix_lines
 _HEADER, _RECORD = 84, 50
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _COMMENT = re.compile(rb"^[ \t]*[;#].*$", re.MULTILINE)
-_SOLID = re.compile(rb"solid[^\n]*")
+_SOLID = re.compile(rb"solid(?!\S)[^\n]*")
 """From the word to the line's end: a solid's name may be anything."""
 _FACET = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet"
 _WORDS = _FACET.split()

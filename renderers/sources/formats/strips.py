@@ -1,4 +1,4 @@
-"""Strips and fans of triangles, which PLY, glTF and COLLADA write."""
+"""Strips and fans of triangles, which PLY, glTF and COLLADA write, of three corners and more."""
 
 from __future__ import annotations
 
