@@ -137,7 +137,7 @@ def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArr
     have = np.zeros(len(faces), bool)
     if 1e-100 < largest < 1e100:
         # No face of this mesh can be rounded by as much, so that most need no closer look.
-        have = np.abs(_cross(vertices, faces)).max(axis=0) > 32 * EPSILON * largest**2
+        have = _cross(vertices, faces) > 32 * EPSILON * largest**2
     doubtful = np.flatnonzero(~have)
     if len(doubtful):
         corners = vertices[faces[doubtful]]
@@ -150,18 +150,24 @@ def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArr
         with np.errstate(over="ignore"):
             rounding = 8 * EPSILON * np.maximum(reach / scale, 1)
         each = np.arange(3 * len(doubtful)).reshape(-1, 3)
-        have[doubtful] = np.abs(_cross(corners.reshape(-1, 3), each)).max(axis=0) > rounding
+        have[doubtful] = _cross(corners.reshape(-1, 3), each) > rounding
     return have
 
 
 def _cross(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    """The cross products of two sides of triangles, (3,F): several times as fast as np.cross."""
-    a, b, c = faces.T
+    """The largest component of the cross product of two sides of each triangle, (F,).
+
+    By columns: several times as fast as ``np.cross`` of gathered corners.
+    """
+    a, b, c = np.ascontiguousarray(faces.T)
     x, y, z = np.ascontiguousarray(vertices.T)
     ax, ay, az = x[a], y[a], z[a]
     bx, by, bz = x[b] - ax, y[b] - ay, z[b] - az
     cx, cy, cz = x[c] - ax, y[c] - ay, z[c] - az
-    return np.stack([by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx])
+    largest = np.abs(by * cz - bz * cy)
+    for component in (bz * cx - bx * cz, bx * cy - by * cx):
+        np.maximum(largest, np.abs(component, out=component), out=largest)
+    return largest
 
 
 def _mesh(vertices: NDArray, faces: NDArray, notices: tuple[str, ...] = ()) -> trimesh.Trimesh:

@@ -94,11 +94,9 @@ def read_off(content: bytes) -> list[Polygon]:
     least = 3 + bool(divided) + 3 * bool(normal) + 2 * bool(texture) + 3 * bool(colour)
     if len(lines) == vertex_count + face_count + 1 and len(lines[0]) == 1:
         del lines[0]
-    if len(lines) == vertex_count + face_count:
-        vertices, faces = lines[:vertex_count], lines[vertex_count:]
-        if min(map(len, vertices)) < least or len({len(v) for v in vertices}) > 1:
-            raise ValueError("vertices of different lengths")
-    else:
+    vertices, faces = lines[:vertex_count], lines[vertex_count:]
+    widths = {len(v) for v in vertices}
+    if len(faces) != face_count or len(widths) > 1 or min(widths) < least:
         words = [word for line in lines for word in line]
         vertices = [words[3 * k : 3 * k + 3] for k in range(vertex_count)]
         del words[: 3 * vertex_count]

@@ -170,6 +170,8 @@ def fuzz(suffix: str, rounds: int, seed: int) -> dict[str, int]:
         same = found.shape == whole[k].shape and np.allclose(found, whole[k], atol=1e-6)
         outcome["same" if same else "another"] += 1
         counted = suffix != ".obj" and kind in ("cut", "lose line", "win line")
+        # Of the last number a digit may be lost: a file need not end with a line end.
+        counted &= kind != "cut" or len(seeds[k][len(damaged) - 1 :].split()) > 1
         assert same or not counted, what
     return outcome
 

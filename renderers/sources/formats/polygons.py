@@ -170,8 +170,8 @@ class Polygons:
             # Ears may come the other way round than the polygon goes.
             ears[turns < 0] = ears[turns < 0][:, ::-1]
             vectors[turns < 0] *= -1
-            whole = np.linalg.norm(vectors.sum(axis=0) - area * normals[0])
-            if max(whole, abs(float(np.abs(turns).sum()) - area)) <= AREA_TOLERANCE * area:
+            lost = float(np.linalg.norm(vectors.sum(axis=0) - area * normals[0]))
+            if max(lost, abs(float(np.abs(turns).sum()) - area)) <= AREA_TOLERANCE * area:
                 return corners[ears]
         named = ", ".join(map(str, corners[:8].tolist())) + (", …" if len(corners) > 8 else "")
         raise InputError(
