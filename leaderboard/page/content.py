@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -54,9 +55,7 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
         for cell in column.cells.values():
             cards.setdefault(cell.results[0].model, rows.card(cell.results[0]))
         lines = rows.rows_of(column, comparison, folder)
-        steps = next(
-            (setting_data(f, lost) for f, lost in found.settings if column in f.values()), None
-        )
+        steps = _steps(column, found.settings)
         given = next((given_data(g) for g in found.given if g.column is column), None)
         first = next(iter(column.cells.values())).results[0]
         columns.append(
@@ -96,6 +95,29 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
     }
 
 
+def _steps(
+    column: Column, settings: list[tuple[dict[str, Column], dict[str, list[Loss]]]]
+) -> dict[str, Any] | None:
+    """The column's family of settings, or that of its nearest milestone; None where it has none."""
+    related = [
+        (family, lost)
+        for family, lost in settings
+        if any(group(column) == group(other) for other in family.values())
+    ]
+    if not related:
+        return None
+    clouds = _clouds(column)
+    family, lost = min(
+        related,
+        key=lambda each: abs(math.log(_clouds(next(iter(each[0].values()))) / clouds)),
+    )
+    return setting_data(family, lost)
+
+
+def _clouds(column: Column) -> int:
+    return next(iter(column.cells.values())).results[0].clouds
+
+
 def kind(column: Column) -> str:
     """Which tab a column is on: "partial", "complete" or "transfer"."""
     if column.key[:2] != column.key[3:5]:
@@ -116,6 +138,7 @@ def _without_milestone(column: Column) -> str:
 def setting_data(family: dict[str, Column], lost: dict[str, list[Loss]]) -> dict[str, Any]:
     """Of each row that two settings or more have: its accuracy in each, and what each step costs."""
     return {
+        "milestone": milestones.name(_clouds(next(iter(family.values())))),
         "settings": list(family),
         "sizes": [column.training_clouds for column in family.values()],
         "rows": [

@@ -59,16 +59,18 @@ function trainingLog(log, width) {
   });
 }
 
+const MOST_FAR = 3;  // more intervals on one spot hide each other
+
 // Accuracy over clouds seen, with what a power law expects of more where there are milestones enough.
 function learning(column, rows, width) {
   const curves = DATA.curves[column.group] || {};
-  const series = rows.filter(row => curves[row.id]).map(row => ({
+  const series = rows.filter(row => curves[row.id]).map((row, i) => ({
     name: row.title,
     points: curves[row.id].points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]),
-    far: curves[row.id].far && { x: DATA.far, y: 100 * curves[row.id].far[0], low: 100 * curves[row.id].far[1], high: 100 * curves[row.id].far[2] },
+    far: i < MOST_FAR && curves[row.id].far && { x: DATA.far, y: 100 * curves[row.id].far[0], low: 100 * curves[row.id].far[1], high: 100 * curves[row.id].far[2] },
   }));
   const far = series.filter(each => each.far);
-  const told = far.slice(0, 3).map(({ name, far: f }) => `${name} ${f.y.toFixed(1)} % (${f.low.toFixed(1)} – ${f.high.toFixed(1)})`).join("; ");
+  const told = far.map(({ name, far: f }) => `${name} ${f.y.toFixed(1)} % (${f.low.toFixed(1)} – ${f.high.toFixed(1)})`).join("; ");
   return lineChart({
     caption: "Accuracy over the training clouds seen, with 95 % intervals over test objects." +
       (far.length ? ` Dashed, an extrapolation, not a result: a power law of the error, fitted to the milestones, at ${engineering(DATA.far)} clouds: ${told} (95 % prediction interval).` : ""),

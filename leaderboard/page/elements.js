@@ -17,7 +17,7 @@ const h = (tag, attributes, ...children) => fill(document.createElement(tag), at
 const s = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
 const dash = "–";
-const percent = share => (share === null || share === undefined ? dash : (100 * share).toFixed(1));
+const percent = share => (share === null || share === undefined ? dash : (100 * share).toFixed(1).replace("-", "−"));
 const range = (low, high) => (low === null ? "" : `${percent(low)} – ${percent(high)}`);
 const thousands = number => number.toLocaleString("en-US");
 const engineering = count => {

@@ -33,10 +33,11 @@ def _best(main: list[dict[str, Any]]) -> str:
     if not others:
         return f"{text}; it is the only model tested here."
     alike = [row["title"] for row in others if row["rank"] == first["rank"]]
-    if alike:
-        listed = ", ".join(alike[:3]) + (f" and {len(alike) - 3} more" if len(alike) > 3 else "")
-        return f"{text}; it cannot be told apart from {listed}."
-    return f"{text}, {_points(others[0]['behind'])} more than the next, {others[0]['title']}."
+    ahead = f"{text}, {_points(others[0]['behind'])} more than the next, {others[0]['title']}"
+    if not alike:
+        return f"{ahead}."
+    listed = ", ".join(alike[:3]) + (f" and {len(alike) - 3} more" if len(alike) > 3 else "")
+    return f"{ahead}; of all pairs tested at once, it cannot be told apart from {listed}."
 
 
 def _cost_of_settings(main: list[dict[str, Any]], steps: dict[str, Any] | None) -> str:
@@ -58,7 +59,9 @@ def _cost_of_settings(main: list[dict[str, Any]], steps: dict[str, Any] | None) 
         )
         if step is not None
     ]
-    return f"{row['title']} reaches {_list(told)}: {_list(lost)}." if lost else ""
+    if not lost:
+        return ""
+    return f"After {steps['milestone']} clouds {row['title']} reaches {_list(told)}: {_list(lost)}."
 
 
 _WHERE = {

@@ -63,7 +63,7 @@ function grid([first, ...places], rows, value, heading = String) {
 function whatItShows(column, width) {
   const main = column.rows.filter(row => row.main), steps = column.settings;
   const settings = steps && lineChart({
-    caption: "From complete clouds in a known pose to what one side shows: accuracy of the same models.", width,
+    caption: `From complete clouds in a known pose to what one side shows: accuracy of the same models after ${steps.milestone} clouds.`, width,
     series: steps.rows.map(row => ({ name: row.title, points: row.shares.flatMap((share, i) => (share === null ? [] : [[i, 100 * share]])) })),
     x: { label: "what is tested", places: steps.settings.map((_, i) => i), text: i => steps.settings[i] }, y: { label: "accuracy (%)", least: 0, most: 100 },
   });
@@ -104,8 +104,10 @@ function show() {
   }, title)));
   hideTip();
   main.replaceChildren(tabs, ...(column ? [
-    controls(column), h("div", { id: "table" }, table(column)), h("p", { class: "about" }, column.about), whatItShows(column, width),
-    state.tab === "noise" && h("div", {}, conditions(column, width)), state.tab === "pose" && given(column), gallery(column), behindAClick(column),
+    controls(column), state.tab === "noise" && h("div", {}, conditions(column, width)),
+    h("h2", { class: state.tab === "noise" ? null : "unseen" }, state.tab === "noise" ? "On clouds as they were trained for" : "Results"),
+    h("div", { id: "table" }, table(column)), h("p", { class: "about" }, column.about), state.tab === "pose" && given(column),
+    whatItShows(column, width), gallery(column), behindAClick(column),
   ].filter(Boolean) : [h("p", { class: "note", id: "empty" }, EMPTY[state.tab])]));
   for (const each of main.querySelectorAll("details[data-open]")) each.open = opened.includes(each.dataset.open);
   main.querySelector("#table .scroll")?.scrollTo(across, 0);

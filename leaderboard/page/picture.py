@@ -17,13 +17,13 @@ from scipy.spatial.transform import Rotation
 from partialbench import registry
 
 FILE = Path(__file__).with_name("picture.svg")
-OBJECT = "chair_0003"
+OBJECT = "chair_0001"
 POINTS = 1_500
-CAMERA = np.array([-2.5, -0.95, 0.75])
+CAMERA = np.array([-1.75, -0.75, 0.55])
 """Where it stands, world frame, z up; it looks at the origin."""
 RADIUS = 100.0
 """Of hidden point removal, some thirty times the distance: dots this sparse are to hide others."""
-SIZE = (440, 190)
+SIZE = (470, 210)
 
 
 def draw() -> str:
@@ -31,7 +31,7 @@ def draw() -> str:
     source = registry.load(registry.SOURCES["parametric"])(counts=(5, 0))
     ref = next(r for r in source.objects("train") if r.object_id == OBJECT)
     points, _ = trimesh.sample.sample_surface(source.load(ref), POINTS, seed=0)
-    pose = Rotation.from_euler("xyz", (0.25, -0.2, 0.5)).as_matrix()
+    pose = Rotation.from_euler("xyz", (0.2, -0.15, -0.75)).as_matrix()
     points = points @ pose.T
     seen = np.zeros(len(points), bool)
     remove = registry.load("renderers.hpr:hidden_point_removal")
@@ -48,10 +48,10 @@ def draw() -> str:
     ]
     x, y = _place(CAMERA)
     labels = (
-        f'<text x="{x - 14:.0f}" y="{y - 22:.0f}">camera</text>'
-        '<text x="318" y="52">its pose: x, y, z</text>'
-        '<text x="318" y="88" class="seen-label">what the camera sees</text>'
-        '<text x="318" y="124">the rest is hidden</text>'
+        f'<text x="{max(2, x - 20):.0f}" y="{y - 22:.0f}">camera</text>'
+        '<text x="325" y="62">its pose: x, y, z</text>'
+        '<text x="325" y="102" class="seen-label">what the camera sees</text>'
+        '<text x="325" y="142">the rest is hidden</text>'
     )
     return (
         f'<svg viewBox="0 0 {SIZE[0]} {SIZE[1]}" role="img" aria-label="A chair as dots: a camera '
@@ -63,9 +63,9 @@ def draw() -> str:
 
 def _place(points: NDArray) -> NDArray:
     """World frame → the picture: seen from the front right, a little from above, in parallel."""
-    turn = Rotation.from_euler("z", -0.35).as_matrix()
+    turn = Rotation.from_euler("z", 0.1).as_matrix()
     x, y, z = (np.atleast_2d(points) @ turn.T).T
-    return np.stack([215 + 78 * x, 100 - 78 * (0.92 * z + 0.38 * y)], axis=-1).squeeze()
+    return np.stack([205 + 98 * x, 112 - 98 * (0.92 * z + 0.38 * y)], axis=-1).squeeze()
 
 
 def _dots(points: NDArray, name: str, size: float) -> str:

@@ -53,7 +53,7 @@ function table(column) {
     const line = h("tr", { class: row.main ? "row" : "row variant", "data-row": row.id }, cells);
     return open ? [line, h("tr", { class: "detail" }, h("td", { colspan: columns.length }, details(column, row)))] : [line];
   });
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "table of models" },
+  return h("div", { class: linked ? "scroll open" : "scroll", tabindex: "0", role: "region", "aria-label": "table of models" },
     h("table", { class: "board" }, h("thead", {}, head), h("tbody", {}, body)),
     !lines.length && h("p", { class: "note" }, asked ? `No model's name has “${state.q}” in it.` : "No rows."));
 }
