@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.geometry import portable
-from partialbench.geometry.rotations import axis_rotation
 
 CELL_M = 0.25
 MIN_FLOOR_VERTICES = 3
@@ -88,7 +87,7 @@ def standing_pose(
     position = np.array([*place, floor_z + rng.uniform(*CAMERA_HEIGHT_M)])
     target = centre + rng.uniform(-AIM_SPREAD, AIM_SPREAD, 3) * radius_m
     roll = rng.uniform(-ROLL_SPREAD, ROLL_SPREAD)
-    return portable.product(axis_rotation("z", roll), look_at(position, target)), position
+    return portable.product(portable.axis_rotation("z", roll), look_at(position, target)), position
 
 
 def look_at(position: NDArray, target: NDArray) -> NDArray[np.float64]:
