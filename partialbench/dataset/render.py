@@ -35,6 +35,7 @@ def plan_render(
     sensor: str | None = None,
     workers: int = 1,
     on_room: Callable[[int, int], None] | None = None,
+    on_scene: Callable[[int, int], None] | None = None,
     rows_per_shard: int = 1000,
 ) -> BuildPlan:
     """The plan of one data folder.
@@ -47,6 +48,7 @@ def plan_render(
         sensor: depth noise, of the rendered images or, for simulated rooms, of the scanner.
         workers: processes for sources that generate or list in parallel.
         on_room: called with (rooms simulated, rooms in all).
+        on_scene: called with (scans listed, scans in all).
         views: viewpoints per training object; test objects get one (PS15: the same number).
         splits: default: all the source has.
         objects_per_class: at most so many of each class in each split.
@@ -66,13 +68,14 @@ def plan_render(
     if source == "parametric":
         given["seed"] = seed
     elif source == "rooms":
-        given |= {"seed": seed, "workers": workers, "on_progress": on_room}
+        given |= {"seed": seed, "workers": workers, "on_progress": on_room, "on_scene": on_scene}
         given |= {"sensor": sensor} if sensor else {}
     elif source == "scannet":
-        given["workers"] = workers
+        given |= {"workers": workers, "on_scene": on_scene}
     shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **given)
-    name = shapes.describe()["name"]
-    dataset_id, occluder_name = registry.DATASET_IDS[name]
+    described = shapes.describe()
+    name = described["name"]
+    dataset_id, occluder_name = registry.data_set_of(described)
     if not dataset_id.startswith(data_set):
         raise InputError(
             f"source {source!r} ({name}) makes {dataset_id}, not {data_set}: run "
@@ -87,6 +90,8 @@ def plan_render(
     if unknown := [s for s in chosen if s not in shapes.splits()]:
         raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
     options = dict(occluder_options or {})
+    if occluder_name == "scan-hpr" and "rules" in given:
+        options["rules"] = given["rules"]
     if sensor and source != "rooms":
         options["sensor"] = sensor
     if occluder_name == "whole":

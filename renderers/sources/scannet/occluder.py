@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.sources import RejectedView, View
 from renderers.hpr import HprOccluder, hidden_point_removal, paper_radius
 from renderers.sources.scannet.filters import Rules, judge_view
-from renderers.sources.scannet.source import ScanInstance
+from renderers.sources.scannet.reader import ScanInstance
 
 
 class ScanHprOccluder:
@@ -18,7 +19,10 @@ class ScanHprOccluder:
 
     Args:
         gamma, radius: size of HPR's sphere, as ``hpr.HprOccluder`` takes them.
-        rules: thresholds; the views' three are used.
+        rules: thresholds, as ``filters.Rules.of`` takes them; the views' own are used.
+
+    Attributes:
+        attempts: how often the builder draws a view before it is given up.
 
     Raises:
         InputError: gamma and radius are both given, or one is out of range.
@@ -28,10 +32,11 @@ class ScanHprOccluder:
         self,
         gamma: float | None = None,
         radius: float | None = None,
-        rules: Rules | None = None,
+        rules: Rules | Mapping[str, float] | None = None,
     ) -> None:
         self.hpr = HprOccluder(gamma, radius)
-        self.rules = rules or Rules()
+        self.rules = Rules.of(rules)
+        self.attempts = self.rules.attempts
 
     def views(
         self,
