@@ -109,7 +109,7 @@ def import_open3d() -> ModuleType:
 
 
 def _surfaces(room: Room) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
-    """Triangles (f,3,3) of the floor, the four walls' inner sides and every piece; whose each is."""
+    """Triangles (f,3,3) of the floor, of each wall's inner side, of every piece; whose each is."""
     width, depth = room.size_m
     x, y, z = np.diag([width, depth, WALL_HEIGHT_M])
     corner = np.zeros(3)

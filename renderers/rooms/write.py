@@ -146,7 +146,7 @@ def _annotation(
         truth.append({
             "scene": scene_id, "index": len(truth), "class_name": piece.cad.class_name,
             "R_scan_object": portable.product(T_scan_room[:3, :3], piece.R_room_object).tolist(),
-            "centre": (portable.apply(T_scan_room, [*piece.centre, 1.0])[:3]).tolist(),
+            "centre": portable.apply(T_scan_room, np.append(piece.centre, 1.0))[:3].tolist(),
             "half_extent": (piece.cad.size_m / 2).tolist(), "vertices": seen,
         })  # fmt: skip
     entry = {

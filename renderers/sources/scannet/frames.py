@@ -250,9 +250,10 @@ def _read_labels(path: Path, vertices: int) -> NDArray[np.int64]:
     except (KeyError, ValueError) as error:
         raise InputError(f"{path.name}: its vertices have no property 'label'") from error
     numbers = np.array(raw).reshape(-1)
-    labels = numbers.astype(np.int64)
-    if not np.array_equal(labels, numbers):
-        raise InputError(f"{path.name}: a label is no whole number: {numbers[labels != numbers][0]}")
+    with np.errstate(invalid="ignore"):  # what is not finite is no whole number either
+        labels = numbers.astype(np.int64)
+    if (broken := labels != numbers).any():
+        raise InputError(f"{path.name}: a label is no whole number: {numbers[broken][0]}")
     if len(labels) != vertices:
         raise InputError(f"{path.name}: labels {len(labels)} vertices, the mesh has {vertices}")
     return labels

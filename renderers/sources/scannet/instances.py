@@ -358,9 +358,7 @@ def _in_box(points: NDArray, pose: BoxPose, margin_m: float) -> NDArray[np.bool_
     return _scaled_box(points, pose, 1, margin_m)
 
 
-def _scaled_box(
-    points: NDArray, pose: BoxPose, scale: float, margin_m: float
-) -> NDArray[np.bool_]:
+def _scaled_box(points: NDArray, pose: BoxPose, scale: float, margin_m: float) -> NDArray[np.bool_]:
     inside = np.abs(pose.to_object(points)) <= scale * pose.half_extent + margin_m
     return np.logical_and.reduce(inside, axis=1)
 

@@ -72,9 +72,7 @@ def decide_numbering(
     Raises:
         InputError: both say something about the file's labels and neither more than the other.
     """
-    readings = {
-        name: np.asarray(to_nyu40(labels, name, nyu40_of_id)[0]) for name in NUMBERINGS
-    }
+    readings = {name: np.asarray(to_nyu40(labels, name, nyu40_of_id)[0]) for name in NUMBERINGS}
     if np.array_equal(readings["nyu40"], readings["scannet"]):
         return "nyu40", {"both": len(labels)}
     low = _lowest(vertices) & (normals[:, 2] > FLOOR_UP)

@@ -13,12 +13,17 @@ from renderers.hpr import HprOccluder, hidden_point_removal, paper_radius
 from renderers.sources.scannet.filters import Rules, judge_view
 from renderers.sources.scannet.reader import ScanInstance
 
+SCAN_GAMMA = 2.5
+"""Best F against ray casting on scans (docs/ps15.md), which have more points to an object than the
+clouds that ``hpr.DEFAULT_GAMMA`` is for."""
+
 
 class ScanHprOccluder:
     """An ``Occluder`` for `ScanInstance`: HPR of its points, then ``filters.judge_view``.
 
     Args:
-        gamma, radius: size of HPR's sphere, as ``hpr.HprOccluder`` takes them.
+        gamma, radius: size of HPR's sphere, as ``hpr.HprOccluder`` takes them; gamma is
+            ``SCAN_GAMMA`` where neither is given.
         rules: thresholds, as ``filters.Rules.of`` takes them; the views' own are used.
 
     Attributes:
@@ -34,6 +39,7 @@ class ScanHprOccluder:
         radius: float | None = None,
         rules: Rules | Mapping[str, float] | None = None,
     ) -> None:
+        gamma = SCAN_GAMMA if gamma is None and radius is None else gamma
         self.hpr = HprOccluder(gamma, radius)
         self.rules = Rules.of(rules)
         self.attempts = self.rules.attempts

@@ -142,9 +142,11 @@ class SceneReader:
         if scene_folder(self.scannet, scene_id) is None:
             reason = "the annotated scene is not in the ScanNet folder"
             return Listed((), ((scene_id, reason, {}, False),), {})
-        broken = ((scene_id, annotation.problem, {}, True),) if annotation.problem else ()
+        broken: list[tuple[str, str, dict[str, Any], bool]] = []
+        if annotation.problem:
+            broken.append((scene_id, annotation.problem, {}, True))
         if broken and not annotation.models:
-            return Listed((), broken, {})
+            return Listed((), tuple(broken), {})
         try:
             read = self.read(annotation)
         except BROKEN_INPUT as error:
@@ -162,9 +164,7 @@ class SceneReader:
         """
         folder = scene_folder(self.scannet, annotation.scene_id)
         assert folder is not None
-        scene = read_scene(folder, self.known_labels)
-        boxes = labelled_boxes(scene, annotation, self.known_labels, self.rules)
-        scene = settle_labels(scene, boxes, self.known_labels, self.labels)
+        scene = self.settled(read_scene(folder, self.known_labels), annotation)
         instances, turned_away = segment(scene, annotation, self.known_labels, self.rules)
         rejected = [(r.index, r.reason, r.details) for r in turned_away]
         places, floor_z = standing_places(scene.vertices, np.isin(scene.labels, FLOOR_IDS))
@@ -181,6 +181,11 @@ class SceneReader:
                     continue
             found[instance.index] = shape
         return SceneRead(found, sorted(rejected, key=lambda r: r[0]), scene.notes)
+
+    def settled(self, scene: Scene, annotation: SceneAnnotation) -> Scene:
+        """The scene with nyu40 labels; as ``frames.settle_labels``."""
+        boxes = labelled_boxes(scene, annotation, self.known_labels, self.rules)
+        return settle_labels(scene, boxes, self.known_labels, self.labels)
 
     def _with_places(
         self,

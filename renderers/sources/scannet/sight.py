@@ -52,8 +52,8 @@ class Surface:
         """
         own_vertex = np.zeros(int(faces.max()) + 1, np.bool_)
         own_vertex[vertices[vertices < len(own_vertex)]] = True
-        own = own_vertex[faces].any(axis=1)[self.sample_face]
-        of_object = np.searchsorted(self.keys, self.sample_key[own])
+        own = np.any(own_vertex[faces], axis=1)
+        of_object = np.searchsorted(self.keys, self.sample_key[own[self.sample_face]])
         left = self.counts - np.bincount(of_object, minlength=len(self.keys))
         return Blockers(self.low, self.size, self.keys[left > 0])
 

@@ -89,9 +89,9 @@ class ScanNetInstances:
         self.rules: Rules = Rules.of(self.rules)
         self.label_map = Path(self.label_map or _label_map_of(self.scannet))
         given = self.split_file
-        if isinstance(given, str | Path):
-            given = [Path(given)]
-        self._splits = given if given is None or isinstance(given, dict) else read_split_files(given)
+        if given is not None and not isinstance(given, dict):
+            given = read_split_files([given] if isinstance(given, str | Path) else given)
+        self._splits = given
         self._listed: dict[str, Listed] | None = None
         self._open()
 
@@ -248,7 +248,7 @@ class ScanNetInstances:
             scenes = [s for s in sorted(self._all_scenes()) if self.split_of(s) is not None]
             # A scene is sent with its own annotation: all of Scan2CAD would be megabytes a task.
             jobs = [(scene, self._annotations.get(scene)) for scene in scenes]
-            listed = {}
+            listed: dict[str, Listed] = {}
             for result in map_in_order(self._reader.listed, jobs, self.workers, chunksize=4):
                 listed[scenes[len(listed)]] = result
                 if self.on_scene:
@@ -290,10 +290,8 @@ class ScanNetInstances:
 
 def _label_map_of(scannet: Path) -> Path:
     """Where the label map is: in the folder, or beside it where the folder is scans/ itself."""
-    beside = scannet.parent / LABEL_MAP
-    return beside if beside.is_file() and not (scannet / LABEL_MAP).is_file() else (
-        scannet / LABEL_MAP
-    )
+    inside, beside = scannet / LABEL_MAP, scannet.parent / LABEL_MAP
+    return beside if beside.is_file() and not inside.is_file() else inside
 
 
 def _plain(annotation: SceneAnnotation) -> list[Any]:

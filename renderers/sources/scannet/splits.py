@@ -71,7 +71,7 @@ def _lists_of(path: Path) -> list[tuple[str, list[str], Path]]:
     if not split:
         raise InputError(
             f"split file {path}: a text list must say in its name whether it is of train, val or "
-            f"test, as scannetv2_train.txt does; or give JSON {{\"train\": [ids], \"test\": [ids]}}"
+            f'test, as scannetv2_train.txt does; or give JSON {{"train": [ids], "test": [ids]}}'
         )
     ids = text.split("\n")
     return [(split, _checked([line.strip() for line in ids if line.strip()], split, path), path)]
