@@ -76,7 +76,8 @@ def render(
         float | None, typer.Option(help="hidden point removal: radius of the spherical flip")
     ] = None,
     gamma: Annotated[
-        float | None, typer.Option(help="the same as 10^gamma · the largest distance [1.75; scans 2.5]")
+        float | None,
+        typer.Option(help="the same as 10^gamma · the largest distance [1.75; scans: 2.5]"),
     ] = None,
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")

