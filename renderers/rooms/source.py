@@ -61,8 +61,7 @@ class SimulatedRooms(ScanNetInstances):
     def describe(self) -> dict[str, Any]:
         """The rooms' own settings and those of the reader."""
         described = super().describe()
-        # What is listed follows from the settings, but for a piece at a threshold: processors of
-        # different makers differ in a scan's last bits (docs/ps15.md).
+        # What is listed follows from the settings.
         del described["listing_sha256"]
         return {**described, "split": "second of five cycles", **self.made}
 

@@ -34,8 +34,10 @@ from renderers.viewpoints import places_for, standing_places
 
 NO_PLACE = "no place to stand: no free floor within sight of it"
 
-read_label_map_once = functools.lru_cache(maxsize=4)(read_label_map)
-"""A process reads a label map once, however many scenes it lists."""
+
+@functools.lru_cache(maxsize=4)
+def _label_map(path: Path, written_ns: int) -> LabelMap:
+    return read_label_map(path)
 
 
 @dataclass(frozen=True)
@@ -131,8 +133,10 @@ class SceneReader:
 
     @property
     def known_labels(self) -> LabelMap:
-        """The label map."""
-        return read_label_map_once(self.label_map)
+        """The label map; a process reads it once, however many scenes it lists."""
+        if not self.label_map.is_file():
+            return read_label_map(self.label_map)  # says what is missing
+        return _label_map(self.label_map, self.label_map.stat().st_mtime_ns)
 
     def listed(self, job: tuple[str, SceneAnnotation | None]) -> Listed:
         """What a scene gives, or why it gives nothing; it raises for no fault of the files."""
