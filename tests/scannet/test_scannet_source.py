@@ -300,7 +300,7 @@ def test_a_description_opens_the_same_source_again(scannet):
     path = scannet / "split.json"
     path.write_text(json.dumps({"train": ["scene0001"], "test": []}))
     described = open_source(
-        scannet, split_file=path, viewpoints="uniform", rules=Rules(min_points=200)
+        scannet, split_file=path, viewpoints="uniform", labels="nyu40", rules={"min_points": 200}
     ).describe()
     where = {"scannet": scannet, "scan2cad": scannet / "full_annotations.json"}
     path.unlink()
