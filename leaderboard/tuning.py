@@ -47,7 +47,7 @@ def tuning_layouts(folder: Path, records: Sequence[Result], board: list[Column])
 def _agreement(name: str, trials: list[Trial], board: list[Column]) -> list[Layout]:
     best: dict[str, float] = {}
     for trial in trials:
-        best[trial.row] = max(best.get(trial.row, 0.0), trial.validation_accuracy)
+        best[trial.row] = max(best.get(trial.row, 0.0), trial.validation_accuracy or 0.0)
     rows = []
     for column in own_columns(board):
         agreement = agree(best, accuracies(column))
@@ -74,7 +74,9 @@ def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
         models[with_changes(title, trial.options)].append(trial)
     rows = []
     for title, tried in models.items():
-        found = {trial.recipe: trial.validation_accuracy for trial in tried}
+        scores = {trial.recipe: trial.validation_accuracy for trial in tried}
+        found = {recipe: score for recipe, score in scores.items() if score is not None}
+        diverged = {trial.recipe for trial in tried if trial.diverged}
         best = [
             recipe or AS_IT_IS
             for recipe in recipes
@@ -84,7 +86,10 @@ def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
             [
                 title,
                 _clouds_seen(tried),
-                *(percent(found[r], None) if r in found else "–" for r in recipes),
+                *(
+                    percent(found[r], None) if r in found else "diverged" if r in diverged else "–"
+                    for r in recipes
+                ),
                 ", ".join(best) or "–",
             ]
         )
@@ -112,5 +117,5 @@ def _by_number(recipe: str) -> list[tuple[str, float, str]]:
 
 def _clouds_seen(trials: list[Trial]) -> str:
     """The least and the most of the trials, where they are not one."""
-    seen = [trial.clouds_seen for trial in trials]
+    seen = [trial.clouds_seen for trial in trials if not trial.diverged] or [0]
     return " – ".join(dict.fromkeys(map(engineering, (min(seen), max(seen)))))

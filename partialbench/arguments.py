@@ -5,26 +5,30 @@ What does not parse raises ``typer.BadParameter``: wrong usage, exit status 2.
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 import typer
 
 from partialbench.geometry.camera import Camera
+from partialbench.options import plain
 
 
 def pairs(given: list[str] | None) -> dict[str, Any]:
-    """``["lr=0.01", "vector=false"]`` → {"lr": 0.01, "vector": False}; text stays text."""
-    parsed: dict[str, Any] = {}
+    """``["lr=0.01", "vector=false"]`` → {"lr": 0.01, "vector": False}; see ``options.plain``."""
+    return {name: plain(value) for name, value in texts(given).items()}
+
+
+def texts(given: list[str] | None) -> dict[str, str]:
+    """``["vector=false"]`` → {"vector": "false"}: for who knows what each should be."""
+    parsed: dict[str, str] = {}
     for item in given or []:
         name, equals, value = item.partition("=")
-        if not equals:
+        if not equals or not name:
             raise typer.BadParameter(f"{item!r} is not of the form name=value")
-        try:
-            parsed[name] = json.loads(value)
-        except json.JSONDecodeError:
-            parsed[name] = value
+        if name in parsed:
+            raise typer.BadParameter(f"{name} is given twice: {parsed[name]!r} and {value!r}")
+        parsed[name] = value
     return parsed
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib
-import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from partialbench import options as option_types
+from partialbench import user_code
 from partialbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -112,8 +113,6 @@ OPEN_SOURCE = "renderers.sources.open:open_source"
 
 SOURCES: dict[str, str] = {
     "parametric": "renderers.shapes.source:ParametricShapes",
-    "modelnet40": "renderers.sources.modelnet:ModelNet40Tree",
-    "modelnet40-zip": "renderers.sources.modelnet:ModelNet40Zip",
     "folder": "renderers.sources.folder:MeshFolder",
     "clouds": "renderers.sources.clouds:CompleteClouds",
     "scannet": "renderers.sources.scannet.source:ScanNetInstances",
@@ -123,9 +122,9 @@ SOURCES: dict[str, str] = {
 DATASET_IDS: dict[str, tuple[str, str]] = {
     "parametric": ("pm40-parametric", "mitsuba"),
     "modelnet40": ("pm40", "mitsuba"),
-    "modelnet40-zip": ("pm40", "mitsuba"),
     "folder": ("pm40-custom", "mitsuba"),
     "clouds": ("pm40-clouds", "hpr"),
+    "custom-clouds": ("pm40-custom-clouds", "hpr"),
     "scannet": ("ps15", "scan-hpr"),
     "rooms": ("ps15-rooms", "scan-hpr"),
 }
@@ -141,15 +140,19 @@ OCCLUDERS: dict[str, str] = {
 
 LEADERBOARD = "leaderboard.build:build_leaderboard"
 SHAPE_EXPORT = "renderers.shapes.export:export_tree"
-RELEASES: dict[str, str] = {"papnet": "renderers.release:import_release"}
+RELEASES: dict[str, str] = {
+    "papnet": "renderers.release:import_release",
+    "scanobjectnn": "renderers.scanobjectnn:import_scanobjectnn",
+}
 """Layouts of published arrays that ``partialbench import`` reads."""
 
 
 def load(entry: str) -> Any:
-    """The object behind "module:object". Errors name the part that failed."""
+    """The object behind a table's "module:object". Errors name the part that failed."""
     module_name, _, attribute = entry.partition(":")
     if not module_name or not attribute:
         raise InputError(f"{entry!r} is not of the form module:object, e.g. my_model:make")
+    user_code.ours_first()
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
@@ -213,7 +216,7 @@ def create(name: str, num_classes: int, **options: Any) -> nn.Module:
     Args:
         name: a registered name, or a user's "module:factory".
         num_classes: K ≥ 2.
-        options: passed to the factory (PAPNet's ablations, for instance).
+        options: passed to the factory (PAPNet's ablations, for instance), see ``options.typed``.
 
     Returns:
         A module that takes (B,N,3) camera-frame clouds and returns a ``Prediction``; a user's own
@@ -221,28 +224,26 @@ def create(name: str, num_classes: int, **options: Any) -> nn.Module:
     """
     if num_classes < 2:
         raise InputError(f"a classifier needs two classes or more, got {num_classes}")
-    factory = load(name if ":" in name else card(name).entry)
+    factory = factory_of(name)
+    chosen = option_types.typed(name, factory, options)
+    return factory(num_classes, **option_types.as_called(factory, chosen))
+
+
+def factory_of(name: str) -> Callable[..., nn.Module]:
+    """What makes a model of that name: a registered one, or a user's "module:factory"."""
+    own = user_code.is_own(name)
+    factory = user_code.load(name) if own else load(card(name).entry)
     if not callable(factory):
         raise InputError(
             f"{name} is a {type(factory).__name__}; expected something to call as "
             f"factory(num_classes) that returns the model"
         )
-    _require_taken(name, factory, options)
-    return factory(num_classes, **options)
+    return factory
 
 
-def _require_taken(name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Raises ``InputError`` for options that the factory has no parameter for."""
-    try:
-        parameters = inspect.signature(factory).parameters.values()
-    except ValueError:  # a builtin says nothing about itself
-        return
-    if any(p.kind is p.VAR_KEYWORD for p in parameters):
-        return
-    known = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
-    for option in options:
-        if option not in known[1:]:
-            raise InputError(f"{name} has no option {option!r}{close_matches(option, known[1:])}")
+def options_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options as they are stored: of the types that the factory's parameters have."""
+    return option_types.typed(name, factory_of(name), given)
 
 
 def load_published(name: str, state: Mapping[str, Any], num_classes: int) -> nn.Module:

@@ -73,28 +73,32 @@ def projector_shadow(z: NDArray, K: NDArray, baseline_m: float) -> NDArray[np.bo
 
 
 def displaced(z: NDArray, shift_px: NDArray, edge_m: float) -> NDArray[np.float64]:
-    """The image read at displaced positions.
+    """What each pixel sees when its ray is displaced: its own surface, or one across an edge.
+
+    A ray that stays on its surface keeps its depth, however the surface slants: the published axial
+    fits were measured on slanted planes and hold what displacement does to depth there. Where it
+    crosses an edge it has the depth of what lies there, which frays outlines.
 
     Args:
         shift_px: (2,H,W), rows then columns; positions outside the image are moved to its border.
+        edge_m: depth that far off what the pixel's plane predicts (5 % of it at least) is not on
+            its surface.
 
     Returns:
-        (H,W): 1/z interpolated bilinearly (exact on planes) among four surface pixels without an
-        edge between them, else the nearest pixel's value, which may be 0.
+        (H,W): the pixel's own depth, or that of the pixel its ray falls into, which may be 0.
     """
     limits = np.array(z.shape)[:, None, None] - 1
-    at = np.clip(np.indices(z.shape) + shift_px, 0, limits)
-    low = np.minimum(np.floor(at).astype(np.intp), np.maximum(limits - 1, 0))
-    r0, c0 = low
-    r1, c1 = np.minimum(low + 1, limits)
-    corners = np.stack([z[r0, c0], z[r0, c1], z[r1, c0], z[r1, c1]])
-    nearest, farthest = corners.min(axis=0), corners.max(axis=0)
-    smooth = (nearest > 0) & (farthest - nearest <= np.maximum(edge_m, EDGE_SHARE * nearest))
-    fr, fc = at - low
-    weights = np.stack([(1 - fr) * (1 - fc), (1 - fr) * fc, fr * (1 - fc), fr * fc])
-    inverse = (weights / np.where(smooth, corners, 1)).sum(axis=0)
-    r, c = np.rint(at).astype(np.intp)
-    return np.where(smooth, 1 / inverse, z[r, c])
+    here = np.indices(z.shape)
+    there = np.rint(np.clip(here + shift_px, 0, limits)).astype(np.intp)
+    read = z[there[0], there[1]]
+    # 1/z is linear over the image of a plane.
+    q = np.where(z > 0, 1 / np.where(z > 0, z, 1), np.nan)
+    rows, columns = there - here
+    expected = q + _slope(q, 0) * rows + _slope(q, 1) * columns
+    ahead = expected > 0  # False where the pixel is empty
+    off = np.abs(1 / np.where(ahead, expected, 1) - read)
+    same = ahead & (read > 0) & (off <= np.maximum(edge_m, EDGE_SHARE * read))
+    return np.where(same, z, read)
 
 
 def over_neighbours(

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera, fit_ball
+from renderers.normals import face_normals, towards_camera
 from renderers.sensors import make_sensor
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
@@ -33,6 +34,8 @@ MAX_RAYS = 1 << 24
 NOTHING_SEEN = "no surface at any pixel centre"
 
 Pose = tuple[NDArray, NDArray]
+Image = tuple[NDArray[np.float32], NDArray[np.uint32] | None]
+"""z-depth (H,W), 0 = no surface, and the index of the face that each pixel shows (0 where none)."""
 
 
 @dataclass
@@ -47,6 +50,8 @@ class MitsubaOccluder:
         variant: a Mitsuba variant, or "auto" for the fastest that works. The first use settles it:
             a copy sent to another process afterwards uses the same variant, or fails there.
         keep_depth: whether a view keeps its depth image.
+        normals: whether a view has the normals of the faces behind its points. A sensor moves the
+            points, not the normals: each is that of the surface at its pixel.
         visibility_samples: surface points behind ``visible_fraction``.
         camera: one to use for every view instead of the fitted one; it may cut the object.
         sensor: "ideal", or what distorts the depth before it is back-projected: a name of
@@ -62,6 +67,7 @@ class MitsubaOccluder:
     camera: Camera | None = None
     sensor: str = "ideal"
     threads: int = 1
+    normals: bool = False
 
     def __post_init__(self) -> None:
         for name in ("resolution", "visibility_samples", "threads"):
@@ -90,6 +96,7 @@ class MitsubaOccluder:
             "sensor": make_sensor(self.sensor).describe(),
             "visibility_samples": int(self.visibility_samples),
             "keep_depth": bool(self.keep_depth),
+            **({"normals": "of the mesh's faces"} if self.normals else {}),
         }
 
     def views(
@@ -127,17 +134,20 @@ class MitsubaOccluder:
         activate(variant, self.threads)
         tracer = (_ScalarTracer if variant.startswith("scalar") else _Tracer)(vertices, faces)
         fractions = self._visible_fractions(tracer, samples, R, t, cameras)
-        depths = tracer.depth(R, t, cameras)
-        if self.sensor != "ideal":
-            sensor = make_sensor(self.sensor)
-            depths = (
-                sensor.apply(depth, camera.K, rng)
-                for depth, camera, rng in zip(depths, cameras, rngs, strict=True)
-            )
-        return [
-            self._view(depth, *view)
-            for depth, *view in zip(depths, R, t, cameras, fractions, strict=True)
-        ]
+        images = tracer.images(R, t, cameras, self.normals)
+        normals = face_normals(vertices, faces) if self.normals else None
+        sensor = None if self.sensor == "ideal" else make_sensor(self.sensor)
+        views: list[View | RejectedView] = []
+        for k, (depth, hit) in enumerate(images):
+            if sensor:
+                depth = sensor.apply(depth, cameras[k].K, rngs[k])
+            view = self._view(depth, R[k], t[k], cameras[k], fractions[k])
+            if isinstance(view, View) and hit is not None and normals is not None:
+                # The pixels with depth, in the order of the points.
+                seen = normals.take(hit[depth != 0], axis=0)
+                view.normals = towards_camera(seen, view.points, R[k])
+            views.append(view)
+        return views
 
     def _view(
         self, depth: NDArray[np.float32], R: NDArray, t: NDArray, camera: Camera, fraction: float
@@ -253,8 +263,10 @@ class _Tracer:
     def __init__(self, vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
         self.scene = make_scene(vertices, faces)
 
-    def depth(self, R: NDArray, t: NDArray, cameras: list[Camera]) -> Iterator[NDArray[np.float32]]:
-        """The views' z-depth images (H,W) float32, 0 = no surface."""
+    def images(
+        self, R: NDArray, t: NDArray, cameras: list[Camera], faces: bool = False
+    ) -> Iterator[Image]:
+        """Each view's z-depth image and, if asked for, which face each pixel shows."""
         width, height = cameras[0].width, cameras[0].height
         tile_columns, tile_rows = -(-width // TILE), -(-height // TILE)
         per_view = tile_columns * tile_rows * TILE * TILE
@@ -262,14 +274,22 @@ class _Tracer:
         step = max(1, MAX_RAYS // per_view)
         for first in range(0, len(rays), step):
             batch = rays[first : first + step]
-            z = self._launch(batch, per_view, tile_columns)
-            tiles = z.reshape(len(batch), tile_rows, tile_columns, TILE, TILE)
-            images = tiles.swapaxes(2, 3).reshape(len(batch), tile_rows * TILE, -1)
-            yield from images[:, :height, :width]
+            hit = self._launch(batch, per_view, tile_columns)
+            z = dr.select(hit.is_valid(), hit.t, 0.0)
+            face = dr.select(hit.is_valid(), hit.prim_index, 0) if faces else None
+            dr.eval(z, face)
+            parts = []
+            for values in (z, face):
+                if values is None:
+                    parts.append([None] * len(batch))
+                    continue
+                tiles = values.numpy().reshape(len(batch), tile_rows, tile_columns, TILE, TILE)
+                whole = tiles.swapaxes(2, 3).reshape(len(batch), tile_rows * TILE, -1)
+                parts.append(whole[:, :height, :width])
+            yield from zip(*parts, strict=True)
 
-    def _launch(
-        self, rays: NDArray[np.float32], per_view: int, tile_columns: int
-    ) -> NDArray[np.float32]:
+    def _launch(self, rays: NDArray[np.float32], per_view: int, tile_columns: int) -> Any:
+        """What the rays of some views meet first, in tiles: a preliminary intersection."""
         index = dr.arange(mi.UInt32, len(rays) * per_view)
         view = index // per_view
         pixel = index - view * per_view
@@ -281,9 +301,7 @@ class _Tracer:
         m = [dr.gather(mi.Float, table, view * 12 + k) for k in range(12)]
         direction = mi.Vector3f(*(m[k] * u + m[k + 1] * v + m[k + 2] for k in (0, 3, 6)))
         ray = mi.Ray3f(mi.Point3f(*m[9:]), direction)
-        hit = self.scene.ray_intersect_preliminary(ray, coherent=True)
-        z = dr.select(hit.is_valid(), hit.t, 0.0)
-        return z.numpy()
+        return self.scene.ray_intersect_preliminary(ray, coherent=True)
 
     def clear(
         self, eyes: NDArray, directions: NDArray[np.float32], ends: NDArray[np.float32]
@@ -311,8 +329,10 @@ class _ScalarTracer:
     def __init__(self, vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
         self.scene = make_scene(vertices, faces)
 
-    def depth(self, R: NDArray, t: NDArray, cameras: list[Camera]) -> Iterator[NDArray[np.float32]]:
-        """As ``_Tracer.depth``."""
+    def images(
+        self, R: NDArray, t: NDArray, cameras: list[Camera], faces: bool = False
+    ) -> Iterator[Image]:
+        """As ``_Tracer.images``."""
         intersect = self.scene.ray_intersect_preliminary
         for row, camera in zip(_rays(R, t, cameras), cameras, strict=True):
             M, eye = row[:9].reshape(3, 3), row[9:]
@@ -320,11 +340,17 @@ class _ScalarTracer:
             directions = pixels @ M[:, :2].T + M[:, 2]
             ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(0, 0, 1))
             z = np.zeros(len(directions), np.float32)
+            face = np.zeros(len(directions), np.uint32)
             for k, direction in enumerate(directions.tolist()):
                 ray.d = direction
-                z[k] = intersect(ray).t
-            z[np.isinf(z)] = 0  # a miss
-            yield z.reshape(camera.height, camera.width)
+                hit = intersect(ray)
+                z[k] = hit.t
+                if faces:
+                    face[k] = hit.prim_index
+            missed = np.isinf(z)
+            z[missed] = face[missed] = 0
+            shape = camera.height, camera.width
+            yield z.reshape(shape), face.reshape(shape) if faces else None
 
     def clear(
         self, eyes: NDArray, directions: NDArray[np.float32], ends: NDArray[np.float32]

@@ -64,11 +64,14 @@ def read_release(folder: str | PathLike[str]) -> dict[str, ReleasedSplit]:
     return {split: _read_split(folder, split) for split in SPLITS}
 
 
-def import_release(folder: str | PathLike[str], out: str | PathLike[str]) -> Manifest:
+def import_release(
+    folder: str | PathLike[str], out: str | PathLike[str], data_set: str | None = None
+) -> Manifest:
     """Write the released arrays as shards, rows in the released order.
 
     A row keeps its number of points: all that differ, then repeats of them drawn at random. The
-    data set is ``pm40-release`` or ``ps15-release``, told apart by the labels. Every row is its
+    data set is ``pm40-release`` or ``ps15-release``, as ``data_set`` ("pm40" or "ps15") says; it
+    may be left out where a label is above PS15's, for then it can be PM40 only. Every row is its
     own object with one view, named ``row_000000`` and on. A cloud is centred on its centroid and
     scaled into the unit ball, as the paper's network does first; t_camera_object is zero. The share
     of the surface seen is not known: ``visible_fraction`` is 0 throughout. The release maps PM40's
@@ -78,9 +81,10 @@ def import_release(folder: str | PathLike[str], out: str | PathLike[str]) -> Man
         The finished folder's manifest. A repeated import continues or returns it.
 
     Raises:
-        InputError: as ``read_release``. ConfigurationMismatchError: the folder holds other data.
+        InputError: as ``read_release``; the labels do not tell the data set and it is not given, or
+            they do not fit it. ConfigurationMismatchError: the folder holds other data.
     """
-    source = ReleasedRows(folder)
+    source = ReleasedRows(folder, data_set)
     job = Job(
         source=source,
         occluder=AsReleased(),
@@ -89,6 +93,7 @@ def import_release(folder: str | PathLike[str], out: str | PathLike[str]) -> Man
         views=dict.fromkeys(SPLITS, 1),
         points=source.points_per_row,
         seed=0,
+        min_visible=1,  # as released, whatever they show
     )
     return build(BuildPlan(job, Path(out), SPLITS), InlineExecutor)
 
@@ -108,7 +113,7 @@ class ReleasedRows:
 
     frame = "aligned"
 
-    def __init__(self, folder: str | PathLike[str]) -> None:
+    def __init__(self, folder: str | PathLike[str], data_set: str | None = None) -> None:
         self._folder = Path(folder)
         self._splits = read_release(folder)
         widths = {split: data.points.shape[1] for split, data in self._splits.items()}
@@ -116,17 +121,35 @@ class ReleasedRows:
             raise InputError(f"{folder}: the splits differ in points per row: {widths}")
         self.points_per_row = widths["train"]
         highest = max(int(data.labels.max()) for data in self._splits.values())
-        is_ps15 = highest < len(PS15)
+        is_ps15 = self._is_ps15(data_set, highest)
+        self._data_set = "ps15" if is_ps15 else "pm40"
         self.dataset_id = "ps15-release" if is_ps15 else "pm40-release"
         self.class_names: tuple[str, ...] = PS15 if is_ps15 else MODELNET40
         self.rejected: list[RejectedObject] = []
 
+    def _is_ps15(self, data_set: str | None, highest: int) -> bool:
+        if data_set not in (None, "pm40", "ps15"):
+            raise InputError(f"data_set must be pm40 or ps15, got {data_set!r}")
+        if highest >= len(PS15):
+            if data_set == "ps15":
+                raise InputError(
+                    f"{self._folder}: there are labels up to {highest}, PS15 has {len(PS15)} "
+                    f"classes: these are not its arrays"
+                )
+            return False
+        if data_set is None:
+            raise InputError(
+                f"{self._folder}: all labels are below {len(PS15)}, so the arrays may be of PS15 "
+                f"or of some classes of PM40; say which with --data-set pm40 or ps15"
+            )
+        return data_set == "ps15"
+
     def __getstate__(self) -> dict[str, Any]:
         # Arrays mapped from files would be pickled whole.
-        return {"folder": self._folder}
+        return {"folder": self._folder, "data_set": self._data_set}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["folder"])  # type: ignore[misc]
+        self.__init__(state["folder"], state["data_set"])  # type: ignore[misc]
 
     def splits(self) -> tuple[str, ...]:
         """Both."""

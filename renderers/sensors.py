@@ -100,7 +100,9 @@ class KinectV1:
     Noise is Gaussian with the fits of Nguyen, Izadi and Lovell 2012, θ between normal and ray:
     across the ray 0.8 + 0.035·θ/(π/2 − θ) in the sensor's pixels, each way; along z, in metres,
     0.0012 + 0.0019(z − 0.4)² + 0.0001/√z · θ²/(π/2 − θ)², the last term from 10° on. They measured
-    quantised depth, so the variance of the quantisation is taken off before drawing.
+    quantised depth, so the variance of the quantisation is taken off before drawing. They measured
+    the noise across the ray at the outline of a target and the noise along z inside it, slanted:
+    displacement frays outlines and leaves the depth of a slanted surface to the second fit.
     """
 
     strength: float = 1.0
@@ -173,8 +175,9 @@ class TimeOfFlight:
             multipath · max(0, mean depth of the 3×3 neighbours − depth). It stands for light that
             takes a longer way and is our own first-order form.
 
-    Axial noise is Gaussian with the indoor fit of Fankhauser et al. 2015, in millimetres with z in
-    metres and θ between normal and ray: 1.5 − 0.5z + 0.3z² + 0.1·z^(3/2)·θ²/(π/2 − θ)². The last
+    Lateral noise frays outlines; the depth of a slanted surface is left to the axial fit, which was
+    measured there. It is Gaussian, the indoor fit of Fankhauser et al. 2015, in millimetres with z
+    in metres and θ between normal and ray: 1.5 − 0.5z + 0.3z² + 0.1·z^(3/2)·θ²/(π/2 − θ)². The last
     term is the amplitude that falls with the angle.
     """
 

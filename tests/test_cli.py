@@ -171,7 +171,7 @@ def test_shapes_exports_a_tree_that_render_reads(tmp_path):
 def test_eval_predict_and_leaderboard_form_a_chain(rendered, tmp_path):
     data, _ = rendered
     small = ("--protocol", "num_points=32", "--protocol", "validation_fraction=0.4",
-             "--protocol", "clouds_seen=16", "--recipe", "batch_size=4")  # fmt: skip
+             "--clouds", "16", "--recipe", "batch_size=4")  # fmt: skip
     (tmp_path / "my_model.py").write_text(
         "import torch\n"
         "def make(num_classes):\n"

@@ -24,6 +24,7 @@ class Clouds(Protocol):
     sensor: str
     digest: str
     num_points: int
+    has_poses: bool
 
     def __len__(self) -> int: ...
 

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 import partialbench
+from partialbench.benchmark.preflight import FULL_PRECISION
 
 if TYPE_CHECKING:
     from lightning.fabric import Fabric
 
-FULL_PRECISION = "32-true"
-"""As Fabric names what is trained in unless another is asked for."""
 PACKAGES = ("numpy", "scipy", "torch", "lightning", "e3nn")
 
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor, nn
 
-from partialbench import registry
+from partialbench import registry, user_code
 from partialbench.benchmark.prediction import Prediction
-from partialbench.dataset.shards import file_sha256
 from partialbench.errors import InputError
 from partialbench.geometry.bins import NUM_BINS
+from partialbench.options import without_defaults
 from partialbench.registry import ModelCard
 
 
@@ -24,9 +21,6 @@ def create(name: str, num_classes: int, options: Mapping[str, Any] | None = None
     Raises:
         InputError: no such model, or what the factory returned is no ``torch.nn.Module``.
     """
-    if ":" in name and (here := str(Path.cwd())) not in sys.path:
-        # An installed command does not look in the folder it is run from, as ``python -m`` does.
-        sys.path.insert(0, here)
     model = registry.create(name, num_classes, **(options or {}))
     if not isinstance(model, nn.Module):
         raise InputError(
@@ -36,20 +30,23 @@ def create(name: str, num_classes: int, options: Mapping[str, Any] | None = None
     return model
 
 
-def code_digest(name: str) -> str:
-    """SHA-256 of the file that a user's "module:factory" is in; "" for a registered name.
+def chosen_options(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options as rows are told apart by: typed, and without those that are the defaults anyway."""
+    return without_defaults(registry.factory_of(name), registry.options_of(name, given))
 
-    Of that file alone: what it imports is not followed. Call it after ``create``, which finds it.
+
+def code_digest(name: str) -> str:
+    """SHA-256 of the file that a user's "module:factory" is in, as it was imported; "" for a
+    registered name.
+
+    Of that file alone: what it imports is not followed.
     """
-    if ":" not in name:
-        return ""
-    file = getattr(importlib.import_module(name.partition(":")[0]), "__file__", None)
-    return file_sha256(Path(file)) if file else ""
+    return user_code.digest(name) if user_code.is_own(name) else ""
 
 
 def card_of(name: str) -> ModelCard:
     """The registered card, or a bare one for a user's own model: default recipe, no claims."""
-    if ":" in name:
+    if user_code.is_own(name):
         return ModelCard(name=name, entry=name, title=name, paper="")
     return registry.card(name)
 

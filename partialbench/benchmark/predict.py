@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,19 +10,21 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from partialbench import user_code
+from partialbench.benchmark.captures import captures, read_points
+from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.training import checkpoint
-from partialbench.dataset.cloud_files import FORMATS, read_cloud
+from partialbench.benchmark.training.trunk import RunFolder, progress
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
-from partialbench.geometry.camera import Camera
+
+__all__ = ["Answer", "Classifier", "captures", "draw", "find_checkpoint", "predict", "read_points"]
 
 log = logging.getLogger(__name__)
 
-MIN_POINTS = 16
 VOTES = 8
-IMAGES = (".png", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -58,46 +59,117 @@ def predict(
     depth_scale: float = 1.0,
     device: str = "cpu",
     votes: int = VOTES,
+    model: str | None = None,
 ) -> Answer:
-    """Classifies one segmented object.
+    """Classifies one segmented object: see ``Classifier``, which keeps its model for many."""
+    return Classifier(checkpoint_file, device, model)(file, K, depth_scale, votes)
+
+
+class Classifier:
+    """A trained model, to be asked about files.
 
     A model is best on clouds of as many points as it was trained on. A denser capture is cut at
     random into clouds of that many, and their probabilities are averaged.
 
     Args:
-        checkpoint_file: written by ``partialbench eval``; nothing else is needed.
-        file: a cloud (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy (N,3)) or a z-depth image (.png of
-            16 bits, .tif, .npy (H,W)), of the object alone; camera frame x right, y down,
-            z forward.
-        K: (3,3) intrinsics in pixels, or (fx, fy, cx, cy); needed for a depth image.
-        depth_scale: units of the file's depth values: 0.001 for millimetres.
-        votes: at most so many clouds, without a point in common.
+        weights: a checkpoint written by ``partialbench eval``, its run's folder, or a folder of
+            results with one run; nothing else is needed.
+        device: "cpu", "cuda", "cuda:1", or "auto".
+        model: "module:factory" of a model of one's own: named here, never by the checkpoint.
 
     Raises:
-        InputError: a file that cannot be read or has too few points, a depth image without K, no
-            votes.
+        InputError: no such device, or weights that make no model.
     """
-    if votes < 1:
-        raise InputError(f"votes must be at least 1, got {votes}")
-    content = checkpoint.load(checkpoint_file)
-    checkpoint.require_finished(content, checkpoint_file, "classify")
-    model = checkpoint.build_model(content).to(device)
-    if changed := checkpoint.changed_code(content):
-        log.warning("%s: %s", checkpoint_file, changed)
-    given = read_points(Path(file), K, depth_scale)
-    count = content["num_points"]
-    clouds = draw(given, count, min(votes, max(1, len(given) // count)))
-    names = content["class_names"]
-    with torch.inference_mode():
-        output = model(torch.from_numpy(clouds).to(device))
-    prediction = as_prediction(output, len(clouds), len(names))
-    values, order = prediction.class_logits.softmax(1).mean(0).topk(min(5, len(names)))
-    top = [(names[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
-    poses = []
-    if prediction.pose_logits is not None:
-        values, order = prediction.pose_logits.softmax(1).mean(0).topk(5)
-        poses = [(rotation_bins()[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
-    return Answer(top, len(given), clouds.shape[0] * clouds.shape[1], poses)
+
+    def __init__(self, weights: Path | str, device: str = "cpu", model: str | None = None) -> None:
+        kind, index = find_device(device)
+        self.device = torch.device(kind if index is None else f"{kind}:{index}")
+        path = find_checkpoint(Path(weights))
+        model = None if model is None else user_code.named(model)
+        self.content = checkpoint.load(path)
+        checkpoint.require_finished(self.content, path, "classify")
+        self.model = checkpoint.build_model(self.content, model).to(self.device)
+        if changed := checkpoint.changed_code(self.content, model):
+            log.warning("%s: %s", path, changed)
+
+    def __call__(
+        self,
+        file: Path | str,
+        K: ArrayLike | None = None,
+        depth_scale: float = 1.0,
+        votes: int = VOTES,
+    ) -> Answer:
+        """What the model says of one file.
+
+        Args:
+            file: a cloud (.ply, .pcd, .xyz, .txt, .csv, .pts, .npy (N,3)) or a z-depth image (.png
+                of 16 bits, .tif, .npy (H,W)), of the object alone; camera frame x right, y down,
+                z forward.
+            K: (3,3) intrinsics in pixels, or (fx, fy, cx, cy); needed for a depth image.
+            depth_scale: units of the file's depth values: 0.001 for millimetres.
+            votes: at most so many clouds, without a point in common.
+
+        Raises:
+            InputError: a file that cannot be read or is no shape, a depth image without K, no
+                votes, or a model that cannot answer.
+        """
+        if votes < 1:
+            raise InputError(f"votes must be at least 1, got {votes}")
+        given = read_points(Path(file), K, depth_scale)
+        count, names = self.content["num_points"], self.content["class_names"]
+        clouds = draw(given, count, min(votes, max(1, len(given) // count)))
+        try:
+            with torch.inference_mode():
+                output = self.model(torch.from_numpy(clouds).to(self.device))
+            prediction = as_prediction(output, len(clouds), len(names))
+        except Exception as error:  # whatever a model does not like about a cloud
+            raise InputError(
+                f"{file}: the model cannot answer ({type(error).__name__}: {error})"
+            ) from error
+        shares = prediction.class_logits.double().softmax(1).mean(0)
+        if not bool(torch.isfinite(shares).all()):
+            raise InputError(
+                f"{file}: the model's answer is not a finite number; its weights, or this cloud, "
+                f"are not what it can work with"
+            )
+        values, order = shares.topk(min(5, len(names)))
+        top = [(names[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
+        poses = []
+        if prediction.pose_logits is not None:
+            values, order = prediction.pose_logits.double().softmax(1).mean(0).topk(5)
+            poses = [
+                (rotation_bins()[int(i)], float(v)) for v, i in zip(values, order, strict=True)
+            ]
+        return Answer(top, len(given), clouds.shape[0] * clouds.shape[1], poses)
+
+
+BRANCHES = "branch-*/checkpoint.pt"
+
+
+def _furthest(run: Path) -> Path:
+    """Of a training's finished milestones the one with the most clouds."""
+    done = progress(run).milestones_done
+    if not done:
+        raise InputError(f"{run} has no finished milestone yet; run the same eval again")
+    return RunFolder(run).branch(max(done))
+
+
+def find_checkpoint(path: Path) -> Path:
+    """The checkpoint that a file, a run's folder or a folder of results with one run means."""
+    if not path.is_dir():
+        return path
+    found = [
+        _furthest(run)
+        for pattern in (".", "*", "runs/*")
+        for run in sorted(path.glob(pattern) if pattern != "." else [path])
+        if any(run.glob(BRANCHES))
+    ]
+    if not found:
+        raise InputError(f"no checkpoint in {path}; expected one that partialbench eval wrote")
+    if len(found) > 1:
+        named = ", ".join(str(one.parents[1].relative_to(path)) for one in found[:6])
+        raise InputError(f"{path} has {len(found)} runs, give the folder of one: {named}")
+    return found[0]
 
 
 def draw(points: NDArray, count: int, clouds: int = 1) -> NDArray[np.float32]:
@@ -110,70 +182,3 @@ def draw(points: NDArray, count: int, clouds: int = 1) -> NDArray[np.float32]:
     if len(points) < wanted:
         order = np.concatenate([order, rng.integers(0, len(points), wanted - len(points))])
     return np.ascontiguousarray(points[order[:wanted]], np.float32).reshape(clouds, count, 3)
-
-
-def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0) -> NDArray:
-    """The finite points (n,3) of a cloud file or of a depth image (see ``predict``)."""
-    if not path.is_file():
-        raise InputError(f"no file at {path}")
-    kind = path.suffix.lower()
-    if kind not in (*FORMATS, *IMAGES):
-        raise InputError(
-            f"{path}: {kind or 'a file without suffix'} is not read; give a cloud "
-            f"({', '.join(FORMATS)}) or a depth image ({', '.join(IMAGES)}, .npy)"
-        )
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error}") from error
-    image = _image(content, path)
-    if image is not None:
-        points = _from_depth(path, image, K, depth_scale)
-        points = points[np.isfinite(points).all(axis=1)]
-    else:
-        points = read_cloud(content, str(path), drop_unmeasured=True)
-    if len(points) < MIN_POINTS:
-        raise InputError(
-            f"{path} has {len(points)} finite points, at least {MIN_POINTS} are needed"
-        )
-    return points
-
-
-def _image(content: bytes, path: Path) -> NDArray | None:
-    """What an image file holds, or an array that cannot be points; None for any other file."""
-    kind = path.suffix.lower()
-    if kind not in (*IMAGES, ".npy"):
-        return None
-    try:
-        if kind in IMAGES:
-            from PIL import Image
-
-            with Image.open(io.BytesIO(content)) as image:
-                return np.asarray(image)
-        array = np.load(io.BytesIO(content), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path} cannot be read: {error}") from error
-    # Further columns of a cloud are intensity, colours or normals.
-    return None if array.ndim == 2 and array.shape[1] in (3, 4, 6) else array
-
-
-def _from_depth(path: Path, image: NDArray, K: ArrayLike | None, scale: float) -> NDArray:
-    if image.ndim != 2:
-        raise InputError(f"{path} has shape {image.shape}; a depth image is one channel (H,W)")
-    if K is None:
-        raise InputError(
-            f"{path} is a depth image of {image.shape[1]}×{image.shape[0]} pixels: its intrinsics "
-            f"are needed (fx, fy, cx, cy in pixels)"
-        )
-    if not scale > 0:
-        raise InputError(f"depth_scale must be positive, got {scale!r}")
-    matrix = np.asarray(K, np.float64)
-    if matrix.shape == (4,):
-        fx, fy, cx, cy = matrix
-        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    depth = image.astype(np.float64) * scale
-    depth[~np.isfinite(depth)] = 0
-    try:
-        return Camera(matrix, image.shape[1], image.shape[0]).unproject_depth(depth)
-    except ValueError as error:
-        raise InputError(f"intrinsics {np.asarray(K).tolist()}: {error}") from error

@@ -3,31 +3,34 @@
 from __future__ import annotations
 
 import logging
-import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
+import numpy as np
 from lightning.fabric import Fabric
 
-from partialbench.benchmark import models
+from partialbench import registry, user_code
+from partialbench.benchmark import models, preflight
 from partialbench.benchmark.clouds import Clouds
-from partialbench.benchmark.environment import FULL_PRECISION, precision_of
+from partialbench.benchmark.environment import precision_of
+from partialbench.benchmark.fabric import make_fabric
+from partialbench.benchmark.preflight import FULL_PRECISION
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET, Protocol
 from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
-from partialbench.benchmark.records import results
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import given_pose
 from partialbench.benchmark.testing import run as testing
-from partialbench.benchmark.training import checkpoint, finetune
+from partialbench.benchmark.training import checkpoint, dry_run, finetune
+from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.benchmark.training.train import Task, train
 from partialbench.benchmark.training.trunk import RunFolder
+from partialbench.benchmark.variant import describe_changes, file_name
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
@@ -102,6 +105,11 @@ def run_eval(
     runs_folder = results_folder / "runs" if runs_folder is None else Path(runs_folder)
     given = [data, *([test_data] if isinstance(test_data, Path | str) else test_data or ())]
     folders = [folder for folder in given if folder is not None]
+    model = user_code.named(model)
+    preflight.check(
+        model, data=folders, results=results_folder, device=device, precision=precision,
+        checkpoints=[path for path in (checkpoint_file, start_from) if path is not None],
+    )  # fmt: skip
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     if checkpoint_file is not None:
@@ -139,37 +147,43 @@ def run_eval(
     own = recipes.of_protocol(card, followed)
     changed = recipes.changes(own, recipe or {})
     used = recipes.override(own, recipe or {})
+    chosen = models.chosen_options(model, options or {})
     train_set = ShardDataset(data, "train", followed.num_points)
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
+    _say_odd_classes(train_set, test_sets[0])
     if poses:  # before a training that could not be tested so
-        fresh = models.create(model, len(train_set.class_names), options)
+        fresh = models.create(model, len(train_set.class_names), chosen)
         testing.try_given_pose(model, fresh, test_sets[0], poses[0], len(train_set.class_names))
 
     written = []
     start = None if start_from is None else finetune.load(start_from, model)
     origin = None if start is None else start.origin
-    variant = describe_changes(changed, options or {}, origin, precision_of(fabric))
+    variant = describe_changes(changed, chosen, origin, precision_of(fabric))
     tasks = [
-        make_task(model, train_set, followed, used, seed, dict(options or {}), variant, start)
+        make_task(model, train_set, followed, used, seed, chosen, variant, start)
         for seed in range(first_seed, first_seed + seeds)
     ]
     for task in tasks:
         for goal in goals:  # before anything is trained or deleted
             milestones.plan(followed, used, goal, len(task.train_rows))
-        if restart and fabric.is_global_zero:
-            shutil.rmtree(runs_folder / run_folder(task), ignore_errors=True)
+    dry_run.try_out(tasks[0], fabric, test_sets, poses)
+    if restart and fabric.is_global_zero:
+        for task in tasks:
+            with hold(runs_folder / run_folder(task)):
+                shutil.rmtree(runs_folder / run_folder(task), ignore_errors=True)
     fabric.barrier()
     # The nearest milestone of every seed first: a table that is stopped is even.
     for goal in goals:
         for task in tasks:
             folder = runs_folder / run_folder(task)
             log.info("training %s, seed %d, to %d clouds in %s", model, task.seed, goal, folder)
-            trained = train(task, fabric, folder, goal, checkpoint_every, should_stop)
-            if fabric.is_global_zero:
-                content = checkpoint.load(RunFolder(folder).branch(goal))
-                written += testing.run_tests(
-                    content, trained.model, test_sets, poses, fabric, results_folder
-                )
+            with hold(folder, fabric.is_global_zero):
+                trained = train(task, fabric, folder, goal, checkpoint_every, should_stop)
+                if fabric.is_global_zero:
+                    content = checkpoint.load(RunFolder(folder).branch(goal))
+                    written += testing.run_tests(
+                        content, trained.model, test_sets, poses, fabric, results_folder
+                    )
             fabric.barrier()
     return written
 
@@ -207,7 +221,7 @@ def make_task(
         finetune.check_split(start, train_set.dataset_id, protocol)
     train_rows, validation_rows = split_by_object(
         train_set.object_ids, train_set.labels, train_set.class_names,
-        protocol.validation_fraction, protocol.split_seed,
+        protocol.validation_fraction, protocol.split_seed, train_set.source_digests,
     )  # fmt: skip
     train_rows = balanced_subset(train_rows, train_set.labels, protocol.max_train_clouds)
     for limit in (protocol.max_train_clouds, protocol.max_test_clouds):
@@ -220,7 +234,7 @@ def make_task(
 
 def run_folder(task: Task) -> str:
     """The name of a training's own folder: where its checkpoint and log are."""
-    return results.file_name(
+    return file_name(
         task.model,
         task.variant,
         f"{task.dataset.dataset_id}-{task.dataset.digest[:8]}",
@@ -254,8 +268,8 @@ def _test_checkpoint(
         )
     if options:
         content = _with_options(content, options)
-    model = checkpoint.build_model(content)
-    changed = checkpoint.changed_code(content)
+    model = checkpoint.build_model(content, model_name)
+    changed = checkpoint.changed_code(content, model_name)
     if changed:
         raise InputError(
             f"{path}: {changed}: one record would tell of two models. Test with the file as it "
@@ -278,7 +292,8 @@ def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dic
     """A checkpoint's content with options of the model changed, as a row of its own."""
     card, followed = models.card_of(content["model"]), protocols.from_dict(content["protocol"])
     recipe = recipes.changes(recipes.of_protocol(card, followed), content["recipe"])
-    merged = {**content["options"], **options}
+    merged = {**content["options"], **registry.options_of(content["model"], options)}
+    merged = models.chosen_options(content["model"], merged)
     summary = content["summary"]
     variant = describe_changes(
         recipe, merged, summary.get("start"), summary["environment"]["precision"]
@@ -300,35 +315,6 @@ def _open_test_sets(
     return test_sets
 
 
-def make_fabric(device: str, precision: str) -> Fabric:
-    """A launched Fabric on ``device``; with torchrun's variables set, one process of many."""
-    kind, _, index = device.partition(":")
-    if kind not in ("auto", "cpu", "cuda") or (index and not index.isdigit()):
-        raise InputError(f"device must be auto, cpu, cuda or cuda:0 …, got {device!r}")
-    if kind == "auto":  # not Fabric's choice: on a Mac that is one without 64-bit numbers
-        kind = "cuda" if torch.cuda.is_available() else "cpu"
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise InputError("device cuda was asked for, but torch sees no CUDA device")
-    processes, nodes = 1, 1
-    if "LOCAL_WORLD_SIZE" in os.environ:  # torchrun sets it
-        processes = int(os.environ["LOCAL_WORLD_SIZE"])
-        nodes = int(os.environ["WORLD_SIZE"]) // processes
-    try:
-        fabric = Fabric(
-            accelerator=kind,
-            devices=[int(index)] if index else processes,
-            num_nodes=nodes,
-            strategy="ddp" if processes * nodes > 1 else "auto",
-            precision=precision,  # type: ignore[arg-type]
-        )
-    except ValueError as error:
-        raise InputError(f"device {device!r}, precision {precision!r}: {error}") from error
-    fabric.launch()
-    # cuDNN would round what it convolves to 10 bits, in tests too, and call it 32.
-    torch.backends.cudnn.allow_tf32 = False
-    return fabric
-
-
 def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> None:
     if not set(train_classes) & set(test_set.class_names):
         raise InputError(
@@ -337,19 +323,21 @@ def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> N
         )
 
 
-def describe_changes(
-    recipe: Mapping[str, Any],
-    options: Mapping[str, Any],
-    origin: Mapping[str, Any] | None = None,
-    precision: str = FULL_PRECISION,
-) -> str:
-    """What was changed about a model, its recipe, start or precision, as a row has it in brackets.
+def _say_odd_classes(train_set: ShardDataset, test_set: Clouds) -> None:
+    """A class that is tested but not trained can only be got wrong; one not tested counts nothing.
 
-    A model's answers depend on the precision it was trained in, so it is told where it is not full.
+    Of one data folder, whose two splits name the same classes.
     """
-    changed = [*recipe.items(), *options.items()]
-    if origin is not None:
-        changed.append(("start", origin["name"]))
-    if precision != FULL_PRECISION:
-        changed.append(("precision", precision))
-    return " ".join(f"{k}={v}" for k, v in sorted(changed, key=str))
+    trained, tested = (
+        {names.class_names[i] for i in np.unique(names.labels)} for names in (train_set, test_set)
+    )
+    for have, lack, missing in (
+        ("test", "training", tested - trained),
+        ("training", "test", trained - tested),
+    ):
+        if missing:
+            log.warning(
+                "%s: of %s there are %s objects but no %s object%s",
+                train_set.folder, ", ".join(sorted(missing)), have, lack,
+                ": no model can name them rightly" if have == "test" else "",
+            )  # fmt: skip

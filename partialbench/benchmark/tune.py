@@ -11,23 +11,24 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from partialbench.benchmark import models
-from partialbench.benchmark.environment import FULL_PRECISION, precision_of
+import numpy as np
+
+from partialbench import user_code
+from partialbench.benchmark import models, preflight
+from partialbench.benchmark.environment import precision_of
+from partialbench.benchmark.fabric import make_fabric
+from partialbench.benchmark.preflight import FULL_PRECISION
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET
 from partialbench.benchmark.records.trials import FILE, Trial, add_trial
-from partialbench.benchmark.run import (
-    describe_changes,
-    make_fabric,
-    make_task,
-    milestones_of,
-    run_folder,
-)
-from partialbench.benchmark.training import finetune
+from partialbench.benchmark.run import make_task, milestones_of, run_folder
+from partialbench.benchmark.training import dry_run, finetune
+from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.training.memory import keep_freed_memory
-from partialbench.benchmark.training.train import train
+from partialbench.benchmark.training.train import DivergedError, Task, train
+from partialbench.benchmark.variant import describe_changes, pairs_text
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 
@@ -63,7 +64,7 @@ def tune(
         seed: of every trial.
 
     Returns:
-        the trials, best validation accuracy first.
+        the trials, best validation accuracy first, then those that diverged.
 
     Raises:
         InputError: no trials, a protocol without a validation split, or anything about the
@@ -73,6 +74,11 @@ def tune(
         raise InputError("nothing to try: give at least one recipe, e.g. --try lr=0.001")
     results_folder = Path(results_folder)
     runs_folder = results_folder / "runs" if runs_folder is None else Path(runs_folder)
+    model = user_code.named(model)
+    preflight.check(
+        model, data=[data], results=results_folder, device=device, precision=precision,
+        checkpoints=[] if start_from is None else [start_from],
+    )  # fmt: skip
     fabric = make_fabric(device, precision)
     if fabric.device.type == "cpu":
         keep_freed_memory()
@@ -82,7 +88,7 @@ def tune(
     train_set = ShardDataset(data, "train", followed.num_points)
     *_, goal = milestones_of(followed, None if clouds is None else [clouds])
     own = recipes.of_protocol(models.card_of(model), followed)
-    chosen = dict(options or {})
+    chosen = models.chosen_options(model, options or {})
     start = None if start_from is None else finetune.load(start_from, model)
     origin, bits = None if start is None else start.origin, precision_of(fabric)
     tasks = []  # all are checked before the first is trained
@@ -92,11 +98,18 @@ def tune(
         task = make_task(model, train_set, followed, recipe, seed, chosen, variant, start)
         milestones.plan(followed, recipe, goal, len(task.train_rows))
         tasks.append(task)
+    _require_validation(tasks[0])
+    dry_run.try_out(make_task(model, train_set, followed, own, seed, chosen, "", start), fabric)
     trials = []
     for changes, task in zip(tries, tasks, strict=True):
-        folder, tried = runs_folder / run_folder(task), describe_changes(changes, {})
+        folder, tried = runs_folder / run_folder(task), pairs_text(changes)
         log.info("trying %s in %s", tried or "the recipe as it is", folder)
-        summary = train(task, fabric, folder, goal, should_stop=should_stop).summary
+        try:
+            with hold(folder, fabric.is_global_zero):
+                summary = train(task, fabric, folder, goal, should_stop=should_stop).summary
+        except DivergedError as error:
+            log.warning("%s; recorded as diverged", error)
+            summary = {"clouds_seen": 0, "train_loss": None, "validation_accuracy": None}
         trial = Trial(
             model, describe_changes({}, chosen, origin, bits), tried, seed, train_set.digest,
             followed.digest, summary["clouds_seen"], summary["train_loss"],
@@ -106,4 +119,25 @@ def tune(
         if fabric.is_global_zero:
             add_trial(results_folder / FILE, trial)
         fabric.barrier()
-    return sorted(trials, key=lambda t: -t.validation_accuracy)
+    return sorted(trials, key=_best_first)
+
+
+def _best_first(trial: Trial) -> float:
+    return 1.0 if trial.validation_accuracy is None else -trial.validation_accuracy
+
+
+def _require_validation(task: Task) -> None:
+    """Raises ``InputError`` where nothing validates: there would be nothing to choose on."""
+    if len(task.validation_rows):
+        return
+    data, fraction = task.dataset, task.protocol.validation_fraction
+    objects = [
+        f"{name} {len(np.unique(data.object_ids[data.labels == label]))}"
+        for label, name in enumerate(data.class_names)
+    ]
+    shown = ", ".join(objects[:8]) + (f" and {len(objects) - 8} more classes" * (len(objects) > 8))
+    raise InputError(
+        f"no object is left to validate: validation_fraction={fraction:g} of each class's objects, "
+        f"those made from the same bytes together, is none ({shown}). Give a larger one "
+        f"(--protocol validation_fraction=0.3), or more objects"
+    )

@@ -1,5 +1,14 @@
 """The command line, a file a stage of the data."""
 
+import sys
+
+from partialbench.user_code import current_folder_last
+
+# Run as ``python -m partialbench.cli``, the current folder comes first on the path: a user's
+# random.py there would be imported by all that follows here.
+if sys.argv[:1] == ["-m"]:
+    current_folder_last()
+
 from partialbench.cli.main import app, main
 
 __all__ = ["app", "main"]

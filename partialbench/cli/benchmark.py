@@ -6,13 +6,18 @@ import dataclasses
 import json
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
 from partialbench import arguments, registry
-from partialbench.console import Json, continued_by, print_result, stdout
+from partialbench.benchmark import preflight
+from partialbench.console import Json, continued_by, print_result, stderr, stdout
+from partialbench.errors import InputError, PartialbenchError
+
+if TYPE_CHECKING:
+    from partialbench.benchmark.predict import Answer
 
 commands = typer.Typer()
 
@@ -105,6 +110,11 @@ def evaluate(
 
     Run again, it goes on: with an interrupted training, or to a later milestone.
     """
+    preflight.check(
+        model, data=[data] if test_data is None else [data, test_data], results=results,
+        checkpoints=[path for path in (checkpoint, start_from) if path is not None],
+        device=device, precision=precision,
+    )  # fmt: skip
     from partialbench.benchmark.protocol import milestones
     from partialbench.benchmark.run import run_eval
 
@@ -115,7 +125,7 @@ def evaluate(
             start_from=start_from, precision=precision,
             checkpoint_every=checkpoint_every, test_points=test_points or (),
             test_poses=test_pose or (), recipe=arguments.pairs(recipe),
-            options=arguments.pairs(option), protocol=arguments.pairs(protocol),
+            options=arguments.texts(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
     if as_json:
         print(json.dumps([dataclasses.asdict(result) for result in done], indent=1))
@@ -169,6 +179,10 @@ def tune(
     as_json: Json = False,
 ) -> None:
     """Compare recipes on the validation split; run again, it continues."""
+    preflight.check(
+        model, data=[data], results=results, device=device, precision=precision,
+        checkpoints=[] if start_from is None else [start_from],
+    )  # fmt: skip
     from partialbench.benchmark.records.trials import FILE
     from partialbench.benchmark.tune import tune as compare
 
@@ -176,10 +190,14 @@ def tune(
     with continued_by("the same command"):
         trials = compare(
             model, data, recipes, preset.value, seed, device, results, clouds=clouds,
-            start_from=start_from, precision=precision, options=arguments.pairs(option),
+            start_from=start_from, precision=precision, options=arguments.texts(option),
             protocol=arguments.pairs(protocol),
         )  # fmt: skip
-    lines = [f"{t.validation_accuracy:6.1%}  {t.recipe}" for t in trials]
+    lines = [
+        "diverged  " + t.recipe if t.validation_accuracy is None
+        else f"{t.validation_accuracy:6.1%}  {t.recipe}"
+        for t in trials
+    ]  # fmt: skip
     print_result(
         {"model": model, "trials": [dataclasses.asdict(t) for t in trials]},
         as_json,
@@ -188,38 +206,81 @@ def tune(
 
 
 @commands.command(
-    epilog="Examples: `partialbench predict --checkpoint results/runs/…/checkpoint.pt mug.ply` · "
+    epilog="Examples: `partialbench predict --checkpoint results/runs/… mug.ply` · "
+    "`partialbench predict --checkpoint results captures/ --json` · "
     "`partialbench predict --checkpoint C depth.png --intrinsics 525,525,319.5,239.5 "
     "--depth-scale 0.001`"
 )
 def predict(
     file: Annotated[
         Path,
-        typer.Argument(help="one object: a cloud (.ply .pcd .xyz …) or a depth image (.png .npy)"),
+        typer.Argument(
+            help="one object: a cloud (.ply .pcd .xyz …) or a depth image (.png .npy); or a folder "
+            "of them"
+        ),
     ],
-    checkpoint: Annotated[Path, typer.Option(help="written by eval")],
+    checkpoint: Annotated[
+        Path, typer.Option(help="written by eval: the file, its run's folder or --results")
+    ],
+    model: Annotated[
+        str | None,
+        typer.Option(help="your module:factory, for weights of a model of your own"),
+    ] = None,
     intrinsics: Annotated[
         str | None, typer.Option(help="FX,FY,CX,CY in pixels, for a depth image")
     ] = None,
     depth_scale: Annotated[float, typer.Option(help="units of a depth value")] = 1.0,
-    device: Annotated[str, typer.Option(help="cpu, cuda")] = "cpu",
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "cpu",
     votes: Annotated[
         int, typer.Option(help="a dense capture is cut into up to so many clouds that vote")
     ] = 8,
     as_json: Json = False,
 ) -> None:
-    """Classify a capture of your own: class, confidence, and pose where the model has one."""
-    from partialbench.benchmark.predict import predict as classify
-
+    """Classify captures of your own: class, confidence, and pose where the model has one."""
     K = None if intrinsics is None else arguments.numbers(intrinsics, 4, "--intrinsics")
-    answer = classify(checkpoint, file, K, depth_scale, device, votes)
-    data = {
-        "file": str(file), "class": answer.top[0][0], "confidence": answer.top[0][1],
+    preflight.check_device(device)
+    if model is not None:
+        preflight.check_model(model)
+    if not file.exists():
+        raise InputError(f"no file at {file}")
+    from partialbench.benchmark.predict import Classifier, captures
+
+    classifier = Classifier(checkpoint, device, model)
+    if not file.is_dir():
+        answer = classifier(file, K, depth_scale, votes)
+        print_result(_answer_data(file, answer), as_json, "\n".join(_answer_lines(answer)))
+        return
+    failed = 0
+    for one in captures(file):
+        found: Answer | PartialbenchError
+        try:
+            found = classifier(one, K, depth_scale, votes)
+        except PartialbenchError as error:
+            failed, found = failed + 1, error
+        if as_json:
+            print(json.dumps(_answer_data(one, found)), flush=True)
+        elif isinstance(found, PartialbenchError):
+            stderr.print(f"error: {found}", markup=False)
+        else:
+            print(f"{one}: {found.class_name} {found.confidence:.1%}", flush=True)
+    if failed:
+        stderr.print(f"{failed} could not be classified")
+        raise typer.Exit(1)
+
+
+def _answer_data(file: Path, answer: Answer | PartialbenchError) -> dict[str, Any]:
+    if isinstance(answer, PartialbenchError):
+        return {"file": str(file), "error": str(answer)}
+    return {
+        "file": str(file), "class": answer.class_name, "confidence": answer.confidence,
         "top": answer.top, "points_given": answer.points_given, "points_used": answer.points_used,
         "poses": [{"R_camera_object": R.tolist(), "probability": p} for R, p in answer.poses],
     }  # fmt: skip
+
+
+def _answer_lines(answer: Answer) -> list[str]:
     lines = [f"{name:14} {share:6.1%}" for name, share in answer.top]
     if answer.poses:
         lines.append(f"pose (R_camera_object, {answer.poses[0][1]:.1%}):")
         lines += ["  " + " ".join(f"{x:+.3f}" for x in row) for row in answer.poses[0][0]]
-    print_result(data, as_json, "\n".join(lines))
+    return lines

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from partialbench import registry
+from partialbench.benchmark import preflight
 from partialbench.console import continued_by, stderr
 
 commands = typer.Typer()
@@ -27,6 +28,7 @@ def leaderboard(
     ] = None,
 ) -> None:
     """Make tables, figures and page anew from the records."""
+    preflight.check_output(out, "--out")
     for path in registry.load(registry.LEADERBOARD)(results, out, check, tuple(data or ())):
         print(path)
 
@@ -41,8 +43,11 @@ def quickstart(
     workers: Annotated[int, typer.Option(help="processes; 0: one per core")] = 0,
 ) -> None:
     """The whole job, small: render built-in shapes, train, test, table, gallery. Minutes."""
+    chosen = model or ["pointnet", "papnet-steered"]
+    for name in chosen:  # before anything is rendered
+        preflight.check_model(name)
+    preflight.check_output(out, "--out")
     from partialbench.quickstart import quickstart as run
 
-    chosen = model or ["pointnet", "papnet-steered"]
     with continued_by("the same command"):
         print(run(out, chosen, workers or os.cpu_count() or 1, stderr))

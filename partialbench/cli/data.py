@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections import Counter
 from concurrent.futures import Executor
@@ -72,16 +73,23 @@ def render(
         ),
     ] = None,
     keep_depth: Annotated[bool, typer.Option(help="store the depth images too")] = False,
+    normals: Annotated[
+        bool, typer.Option("--normals", help="store the points' surface normals too")
+    ] = False,
+    min_visible: Annotated[
+        int | None,
+        typer.Option(help="turn views away that show fewer distinct points [16; ps15: 128]"),
+    ] = None,
     radius: Annotated[
         float | None, typer.Option(help="hidden point removal: radius of the spherical flip")
     ] = None,
     gamma: Annotated[
-        float | None, typer.Option(help="the same as 10^gamma · the largest distance [1.75]")
+        float | None, typer.Option(help="the same as 10^gamma · the largest distance [1.5]")
     ] = None,
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
     ] = False,
-    up: Annotated[str | None, typer.Option(help="mesh folders: the up axis, z or y")] = None,
+    up: Annotated[str | None, typer.Option(help="the files' up axis, z or y [z]")] = None,
     scannet: Annotated[Path | None, typer.Option(help="ps15: folder of ScanNet scans")] = None,
     scan2cad: Annotated[Path | None, typer.Option(help="ps15: full_annotations.json")] = None,
     rooms: Annotated[int | None, typer.Option(help="ps15: how many rooms to simulate")] = None,
@@ -136,12 +144,16 @@ def render(
         on_room=listed,
         setting=setting.value,
         views=views,
-        splits=tuple(split) if split else None,
+        splits=tuple(dict.fromkeys(split)) if split else None,
         objects_per_class=objects_per_class,
         points=points,
+        min_visible=min_visible,
+        normals=normals,
         seed=seed,
         rows_per_shard=rows_per_shard,
     )  # fmt: skip
+    if listing := getattr(plan.job.source, "listing", ""):
+        stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
     manifest = _build(plan, workers, scheduler, retry_failed)
     kinds = Counter(f["kind"] for f in manifest.failures)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
@@ -151,7 +163,8 @@ def render(
         as_json,
         f"{manifest.dataset_id} in {out}: "
         + ", ".join(
-            f"{n:,} {split} rows (the paper: {paper_rows(manifest, split):,})"
+            f"{n:,} {split} rows"
+            + (f" (the paper: {paper:,})" if (paper := paper_rows(manifest, split)) else "")
             for split, n in rows.items()
         )
         + (f"; {kinds['rejected']} turned away by a rule" if kinds["rejected"] else ""),
@@ -263,17 +276,33 @@ def shapes(
     name="import", epilog="Example: `partialbench import papnet release/ --out data/pm40`"
 )
 def import_release(
-    release: Annotated[str, typer.Argument(help="whose layout: papnet")],
-    folder: Annotated[Path, typer.Argument(help="holds train_points.npy and the others")],
+    release: Annotated[str, typer.Argument(help="whose layout: papnet, scanobjectnn")],
+    folder: Annotated[Path, typer.Argument(help="holds the arrays as published")],
     out: Annotated[Path, typer.Option(help="the data folder to make")],
+    data_set: Annotated[
+        DataSet | None, typer.Option(help="papnet: which of the two the arrays hold")
+    ] = None,
+    allow_failures: Annotated[bool, typer.Option(help="exit 0 even if some rows are lost")] = False,
     as_json: Json = False,
 ) -> None:
-    """Turn the arrays the paper's authors released into a data folder."""
+    """Turn published arrays into a data folder: papnet (the paper's authors') or scanobjectnn."""
     if release not in registry.RELEASES:
         raise PartialbenchError(
             f"no release layout {release!r}{registry.close_matches(release, registry.RELEASES)}"
         )
-    manifest = registry.load(registry.RELEASES[release])(folder, out)
+    told = given(data_set=data_set and data_set.value)
+    entry = registry.load(registry.RELEASES[release])
+    if told and "data_set" not in inspect.signature(entry).parameters:
+        raise PartialbenchError(f"--data-set does not apply to {release}: it is one data set")
+    manifest = entry(folder, out, **told)
+    if manifest.listing:
+        stderr.print(f"source: {manifest.listing}", markup=False, soft_wrap=True)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
-    print_result({"folder": str(out), "rows": rows}, as_json,
+    failed = sum(f["kind"] == "failed" for f in manifest.failures)
+    print_result({"folder": str(out), "rows": rows, "failed": failed}, as_json,
             f"{out}: " + ", ".join(f"{n:,} {split} rows" for split, n in rows.items()))  # fmt: skip
+    if failed and not allow_failures:
+        raise PartialbenchError(
+            f"{failed} row(s) were lost; {out / 'failures.jsonl'} has the reasons. Accept that "
+            f"with --allow-failures"
+        )

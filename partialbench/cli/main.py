@@ -7,16 +7,15 @@ stdout carries the result, stderr the log and the progress bar. Exit status: 0 d
 from __future__ import annotations
 
 import logging
-import os
 import sys
 from typing import Annotated
 
 import typer
 from rich.logging import RichHandler
 
-from partialbench import __version__
-from partialbench.cli import benchmark, board, data
-from partialbench.console import stderr
+from partialbench import __version__, user_code
+from partialbench.cli import benchmark, board, campaign, data
+from partialbench.console import prepare_streams, quiet_libraries, stderr
 from partialbench.errors import PartialbenchError
 
 app = typer.Typer(
@@ -28,7 +27,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-for stage in (data, benchmark, board):
+for stage in (data, benchmark, campaign, board):
     app.add_typer(stage.commands)
 
 
@@ -47,15 +46,19 @@ def _root(
         handlers=[RichHandler(console=stderr, show_path=False)],
         force=True,
     )
+    quiet_libraries(verbose)
 
 
 def main() -> None:
     """Entry point: turns expected errors into one line on stderr and an exit status."""
-    # A user's own model lives in the folder they stand in.
-    sys.path.insert(0, os.getcwd())
+    prepare_streams()
+    # A user's own model lives in the folder they stand in, and stands in for nothing of ours.
+    user_code.current_folder_last()
+    user_code.ours_first()
     try:
         app()
     except PartialbenchError as error:
+        logging.getLogger(__name__).info("", exc_info=error)
         stderr.print(f"[bold red]error:[/] {_escaped(str(error))}")
         sys.exit(error.exit_status)
 

@@ -7,7 +7,6 @@ are keyed, not sequenced; they are written in listing order; a finished shard is
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import pickle
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
@@ -16,17 +15,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from partialbench.dataset import manifest as manifests
+from partialbench.dataset import objects as tables
 from partialbench.dataset.card import write_card
 from partialbench.dataset.executors import process_pool, worker_deaths
+from partialbench.dataset.lock import FILES as LOCK_FILES
+from partialbench.dataset.lock import sole_user
 from partialbench.dataset.manifest import Manifest, ShardEntry
+from partialbench.dataset.names import printable
 from partialbench.dataset.rows import Job, ObjectRows, failure_record, run_pickled
-from partialbench.dataset.schema import OBJECT_FIELDS
 from partialbench.dataset.shards import (
     TEMPORARY_SUFFIX,
-    Columns,
+    PackedImages,
     concatenate,
     content_digest,
     read_columns,
@@ -66,6 +66,7 @@ class BuildPlan:
         for name, value in (
             ("points", self.job.points),
             ("rows_per_shard", self.rows_per_shard),
+            ("min_visible", self.job.min_visible),
             *((f"views of {s!r}", self.job.views.get(s, 0)) for s in self.splits),
         ):
             if value < 1:
@@ -83,12 +84,15 @@ class BuildPlan:
             "setting": self.job.setting,
             "views": {s: self.job.views[s] for s in self.splits},
             "points": self.job.points,
+            "min_visible": self.job.min_visible,
             "seed": self.job.seed,
             "objects_per_class": self.objects_per_class,
             "rows_per_shard": self.rows_per_shard,
             # In these settings a source's own poses are not asked for; folders of releases that
             # did ask are not continued.
             **poses,
+            # Rows without a known pose have the identity; this says that it is none.
+            **({"pose": "none"} if getattr(self.job.source, "pose", "") == "none" else {}),
         }
 
     def slices(self) -> Iterator[tuple[str, int, list[ObjectRef]]]:
@@ -158,12 +162,13 @@ def build(
         list(plan.job.source.class_names),
         listing_failures=[
             {"kind": "failed" if r.failed else "rejected", "split": r.split, "details": r.details,
-             "object_id": r.object_id, "location": r.location, "reason": r.reason}
+             "object_id": r.object_id, "location": printable(r.location), "reason": r.reason}
             for r in plan.job.source.rejected
         ],
+        listing=getattr(plan.job.source, "listing", ""),
         versions=manifests.versions(),
     )  # fmt: skip
-    with _sole_user(plan.out):
+    with sole_user(plan.out):
         manifest = _begin_or_continue(plan.out, wanted, retry_failed)
         if manifest.state == "complete":
             return manifest
@@ -196,24 +201,6 @@ def _require_unique(refs: list[ObjectRef]) -> None:
         seen[ref.object_id] = ref.location
 
 
-@contextlib.contextmanager
-def _sole_user(out: Path) -> Iterator[None]:
-    """Hold the folder's lock, so that two runs never write into one folder."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        lock = open(out / ".lock", "w")  # noqa: SIM115 (closed below, after the lock is released)
-    except OSError as error:
-        raise PartialbenchError(f"cannot use {out} as output folder: {error.strerror}") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise PartialbenchError(
-                f"another run is writing to {out}; wait for it or choose another --out"
-            ) from None
-        yield
-
-
 def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manifest:
     if (out / manifests.NAME).exists():
         existing = manifests.load(out)
@@ -221,20 +208,23 @@ def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manif
         # A killed run may have left a temporary file; under its final name nothing is ever partial.
         for leftover in out.glob(f".*{TEMPORARY_SUFFIX}"):
             leftover.unlink()
+        table = _readable_table(out)
         kept = [
             entry
             for entry in existing.shards
-            if (not entry.rows or (out / entry.file).is_file())
+            if (not entry.rows or ((out / entry.file).is_file() and _listed(entry, table)))
             and not (retry_failed and any(f["kind"] == "failed" for f in entry.failures))
         ]
         if len(kept) < len(existing.shards):  # a shard was deleted or is wanted anew
             existing.shards, existing.state, existing.digests = kept, "building", {}
-            existing.listing_failures = wanted.listing_failures
+            existing.card_sha256 = ""
+            existing.listing, existing.listing_failures = wanted.listing, wanted.listing_failures
             # Before a file is replaced: the manifest never vouches for bytes it has not seen.
             existing.save(out)
         return existing
     # A run that could not write its first manifest leaves a list of failures, and a lock.
-    own = (".lock", manifests.FAILURES)
+    # (The table of objects is written later, beside the first shard.)
+    own = (*LOCK_FILES, manifests.FAILURES)
     foreign = sorted(p.name for p in out.iterdir() if p.name not in own)
     if foreign and not all(name.endswith(TEMPORARY_SUFFIX) for name in foreign):
         raise PartialbenchError(
@@ -243,6 +233,18 @@ def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manif
         )
     wanted.save(out)
     return wanted
+
+
+def _readable_table(out: Path) -> dict[str, str]:
+    try:
+        return tables.load(out)
+    except InputError:
+        return {}  # damaged: what it listed is made anew, as where it is absent
+
+
+def _listed(entry: ShardEntry, table: dict[str, str]) -> bool:
+    """Whether a shard's objects are in the table as the manifest recorded them."""
+    return tables.text_digest(table.get(entry.file, "")) == entry.objects_sha256
 
 
 def _build_missing(
@@ -264,6 +266,7 @@ def _build_missing(
         pickle.dumps(plan.job), refs, make_executor or (lambda: process_pool(workers)), workers
     )
     order = {(split, index): n for n, (split, index, _) in enumerate(slices)}
+    table = _readable_table(plan.out)
     with contextlib.closing(results):
         for split, index, slice_refs in missing:
             made = []
@@ -274,9 +277,11 @@ def _build_missing(
                 progress.count(rows, result.failures)
                 if on_progress:
                     on_progress(progress)
-            entry = _write_shard(plan, manifest, split, index, made)
+            entry = _write_shard(plan, manifest, split, index, made, table)
             manifest.shards.append(entry)
             manifest.shards.sort(key=lambda e: order[e.split, e.index])
+            # Before the manifest, which vouches for it.
+            tables.save(plan.out, (table[e.file] for e in manifest.shards if e.rows))
             manifest.save(plan.out)
 
 
@@ -340,8 +345,14 @@ def _alone(payload: bytes, ref: ObjectRef, make_executor: Callable[[], Executor]
 
 
 def _write_shard(
-    plan: BuildPlan, manifest: Manifest, split: str, index: int, made: list[ObjectRows]
+    plan: BuildPlan,
+    manifest: Manifest,
+    split: str,
+    index: int,
+    made: list[ObjectRows],
+    table: dict[str, str],
 ) -> ShardEntry:
+    """Write one shard, and its objects' lines into ``table``."""
     failures = [failure for result in made for failure in result.failures]
     kept = [result for result in made if result.columns is not None]
     name = f"{split}-{index:05d}.h5"
@@ -350,25 +361,45 @@ def _write_shard(
         (plan.out / name).unlink(missing_ok=True)
         return ShardEntry("", split, index, 0, len(made), 0, "", failures)
     columns = concatenate([result.columns for result in kept if result.columns is not None])
-    objects: Columns = {
-        field.name: np.array(values, field.dtype)
-        for field, values in zip(
-            OBJECT_FIELDS,
-            ([r.object_id.encode() for r in kept], [r.source_sha256.encode() for r in kept]),
-            strict=True,
+    table[name] = tables.as_text(
+        tables.ObjectLine(
+            split, name, tables.stored_id(r.object_id).decode(), r.object_id, r.source_sha256
         )
-    }
+        for r in kept
+    )
     attributes: dict[str, str | int] = {
         "dataset_id": manifest.dataset_id,
         "configuration_digest": manifest.configuration_digest,
         "split": split,
         "index": index,
     }
-    data = shard_bytes(columns, objects, attributes)
+    data = shard_bytes(columns, attributes, _take_images(kept))
     write_atomically(plan.out / name, data)
     rows = len(columns["label"])
     digest = manifests.bytes_sha256(data)
-    return ShardEntry(name, split, index, rows, len(made), len(data), digest, failures)
+    return ShardEntry(
+        name, split, index, rows, len(made), len(data), digest, failures,
+        tables.text_digest(table[name]),
+    )  # fmt: skip
+
+
+def _take_images(made: list[ObjectRows]) -> PackedImages | None:
+    """The depth images of all rows in order, taken out of the results to be let go one by one.
+
+    Raises:
+        InputError: only some objects have images, or of different sizes.
+    """
+    shapes = {None if result.depth is None else result.depth.shape for result in made}
+    if len(shapes) > 1:
+        raise InputError(f"the depth images of one shard differ in size: {shapes}")
+    [shape] = shapes
+    if shape is None:
+        return None
+    chunks: list[bytes] = []
+    for result in made:
+        chunks += result.depth.chunks if result.depth else []
+        result.depth = None
+    return PackedImages(shape, chunks)
 
 
 def _finish(out: Path, manifest: Manifest) -> None:
@@ -387,5 +418,5 @@ def _finish(out: Path, manifest: Manifest) -> None:
             if entry.split == split and entry.rows
         )
     manifest.state = "complete"
-    write_card(out, manifest)
+    manifest.card_sha256 = manifests.bytes_sha256(write_card(out, manifest))
     manifest.save(out)

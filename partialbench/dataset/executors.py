@@ -6,12 +6,14 @@ All three are ``concurrent.futures.Executor``; the builder does not know which i
 from __future__ import annotations
 
 import contextlib
+import logging
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from types import FrameType
@@ -42,6 +44,9 @@ class InlineExecutor(Executor):
 def _start_worker(parent: int) -> None:
     # Ctrl-C reaches the whole process group; the parent alone decides what to do about it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Libraries' warnings are for who wrote the file, not for who renders ten thousand of them.
+    warnings.simplefilter("ignore")
+    logging.getLogger().addHandler(logging.NullHandler())
 
     def leave_with_parent() -> None:
         # A parent killed with SIGKILL cannot tell its workers: they watch for it.

@@ -1,12 +1,13 @@
-"""Reading a data folder for training: labels in memory, points mapped from disk.
+"""Reading a data folder for training: labels in memory, points and normals mapped from disk.
 
-Points are read through memory maps of the shards' contiguous data sets, not through h5py handles:
+They are read through memory maps of the shards' contiguous data sets, not through h5py handles:
 a map survives a fork, is reopened after a spawn, and costs a memory copy per row.
 """
 
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +16,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset import manifest as manifests
+from partialbench.dataset import objects as tables
 from partialbench.dataset.shards import content_digest, file_sha256, open_shard
 from partialbench.errors import InputError
 
 _SMALL = (
-    "label", "object_id", "view", "R_camera_object", "t_camera_object", "visible_fraction",
+    "label", "object_id", "view", "R_camera_object", "t_camera_object", "K", "visible_fraction",
     "n_visible", "symmetry",
 )  # fmt: skip
 _SOURCE = "source_sha256"
 _ROW_DIGEST = "row_sha256"
+_MAPPED = ("points", "normals")
+
+
+@dataclass(frozen=True)
+class _Shard:
+    """A shard's file, its number of rows, and where in it each field to be mapped begins."""
+
+    path: Path
+    rows: int
+    offsets: dict[str, int]
+    has_depth: bool
 
 
 class ShardDataset:
@@ -39,9 +52,12 @@ class ShardDataset:
         object_ids: (M,) str array.
         views: (M,) int32.
         rotations: (M,3,3) float64 R_camera_object. translations: (M,3) float64 t_camera_object.
+        intrinsics: (M,3,3) float64 K, zeros where no image was formed.
+        has_normals, has_depth: whether the folder was rendered with them.
         visible_fraction: (M,) float32. n_visible: (M,) int32.
         symmetries: (M,) str array of group names.
         source_digests: (M,) SHA-256 (hex) of what each row's object was made from, "" if not known.
+        has_poses: whether ``rotations`` are poses; where not, no figure may be made of them.
         class_names: label → name. dataset_id, setting, sensor, digest: from the manifest; the
             digest is of this split's content and does not depend on the shard size.
         manifest: the whole ``Manifest``.
@@ -68,6 +84,7 @@ class ShardDataset:
         self.dataset_id = self.manifest.dataset_id
         self.setting: str = self.manifest.configuration["setting"]
         self.sensor = self.manifest.sensor
+        self.has_poses = self.manifest.has_poses
         self.digest = self.manifest.digests[split]
         stored: int = self.manifest.configuration["points"]
         if not 1 <= num_points <= stored:
@@ -81,25 +98,28 @@ class ShardDataset:
                 f"{folder}: the rows of split {split!r} do not have the digest its manifest claims "
                 f"({self.digest[:12]}); 'partialbench verify {folder}' tells what differs"
             )
-        self._first_row = np.cumsum([0, *(rows for _, _, rows in self._layout)])
+        self._first_row = np.cumsum([0, *(shard.rows for shard in self._layout)])
+        self.has_normals = all("normals" in shard.offsets for shard in self._layout)
+        self.has_depth = all(shard.has_depth for shard in self._layout)
         self.labels = columns["label"].astype(np.int64)
         self.object_ids = np.char.decode(columns["object_id"], "utf-8")
         self.symmetries = np.char.decode(columns["symmetry"], "utf-8")
         self.views = columns["view"]
         self.rotations = columns["R_camera_object"]
         self.translations = columns["t_camera_object"]
+        self.intrinsics = columns["K"]
         self.visible_fraction = columns["visible_fraction"]
         self.n_visible = columns["n_visible"]
         self.source_digests = np.char.decode(columns[_SOURCE], "ascii")
         self._stored_points = stored
-        self._maps: list[np.memmap | None] = [None] * len(self._layout)
+        self._maps: dict[tuple[int, str], np.memmap] = {}
 
     def __len__(self) -> int:
         return len(self.labels)
 
     def __getstate__(self) -> dict[str, Any]:
         # A spawned worker opens its own maps instead of receiving the data.
-        return {**self.__dict__, "_maps": [None] * len(self._layout)}
+        return {**self.__dict__, "_maps": {}}
 
     def points(
         self,
@@ -118,11 +138,61 @@ class ShardDataset:
         has fewer. ``distinct`` makes the circle of the distinct points alone, so that random clouds
         have repeats only where, and as many as, the first ``num_points`` have.
         """
+        return self._clouds(indices, ("points",), rng, distinct)[0]
+
+    def points_and_normals(
+        self,
+        indices: NDArray | list[int],
+        rng: np.random.Generator | None = None,
+        distinct: bool = False,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """As ``points``, with the unit normal of each of the same points: two (B,num_points,3).
+
+        Raises:
+            InputError: the folder has no normals.
+        """
+        if not self.has_normals:
+            raise InputError(f"{self.folder} has no normals; render it with --normals")
+        points, normals = self._clouds(indices, _MAPPED, rng, distinct)
+        return points, normals
+
+    def depth(self, indices: NDArray | list[int]) -> NDArray[np.float32]:
+        """Depth images of the rows ``indices``: (B,H,W) float32 z-depth, 0 = no surface.
+
+        They are not mapped but unpacked from disk at each call.
+
+        Raises:
+            InputError: the folder has no depth images.
+        """
+        if not self.has_depth:
+            raise InputError(f"{self.folder} has no depth images; render it with --keep-depth")
+        indices = self._checked(indices)
+        shard_of = np.searchsorted(self._first_row, indices, side="right") - 1
+        images: list[NDArray] = [np.zeros(0)] * len(indices)
+        for shard in np.unique(shard_of):
+            # Opened at each call: an HDF5 handle does not survive a fork.
+            with open_shard(self._layout[shard].path) as file:
+                for i in np.flatnonzero(shard_of == shard):
+                    images[i] = file["depth"][int(indices[i] - self._first_row[shard])]
+        return np.stack(images) if images else np.zeros((0, 0, 0), np.float32)
+
+    def _checked(self, indices: NDArray | list[int]) -> NDArray[np.int64]:
         indices = np.asarray(indices, np.int64)
         if indices.size and not (indices.min() >= 0 and indices.max() < len(self)):
             raise IndexError(f"row indices must lie in [0, {len(self)}), got {indices.min()} to "
                              f"{indices.max()}")  # fmt: skip
-        clouds = np.zeros((len(indices), self.num_points, 3), np.float32)
+        return indices
+
+    def _clouds(
+        self,
+        indices: NDArray | list[int],
+        names: tuple[str, ...],
+        rng: np.random.Generator | None,
+        distinct: bool,
+    ) -> list[NDArray[np.float32]]:
+        """The same part of each row's circle in each of the named fields."""
+        indices = self._checked(indices)
+        fields = [np.zeros((len(indices), self.num_points, 3), np.float32) for _ in names]
         shard_of = np.searchsorted(self._first_row, indices, side="right") - 1
         circles = np.full(len(indices), self._stored_points)
         if distinct:
@@ -132,31 +202,33 @@ class ShardDataset:
             if rng is None or self.num_points == self._stored_points
             else rng.integers(0, circles)
         )
-        for out, index, shard, start, circle in zip(
-            clouds, indices, shard_of, starts, circles, strict=True
-        ):
-            row = self._map(int(shard))[index - self._first_row[shard]]
-            head = min(self.num_points, circle - start)
-            out[:head] = row[start : start + head]
-            out[head:] = row[: self.num_points - head]
-        return clouds
+        for name, clouds in zip(names, fields, strict=True):
+            for out, index, shard, start, circle in zip(
+                clouds, indices, shard_of, starts, circles, strict=True
+            ):
+                row = self._map(int(shard), name)[index - self._first_row[shard]]
+                head = min(self.num_points, circle - start)
+                out[:head] = row[start : start + head]
+                out[head:] = row[: self.num_points - head]
+        return fields
 
-    def _map(self, shard: int) -> np.memmap:
-        mapped = self._maps[shard]
+    def _map(self, shard: int, name: str) -> np.memmap:
+        mapped = self._maps.get((shard, name))
         if mapped is None:
-            path, offset, rows = self._layout[shard]
-            shape = (rows, self._stored_points, 3)
-            mapped = np.memmap(path, "<f4", "r", offset, shape)
-            self._maps[shard] = mapped
+            file = self._layout[shard]
+            shape = (file.rows, self._stored_points, 3)
+            mapped = np.memmap(file.path, "<f4", "r", file.offsets[name], shape)
+            self._maps[shard, name] = mapped
         return mapped
 
 
 def _read_small_and_layout(
     folder: Path, entries: list[manifests.ShardEntry]
-) -> tuple[dict[str, NDArray], list[tuple[Path, int, int]]]:
-    """Every small column joined over shards, and (path, byte offset of points, rows) of each."""
+) -> tuple[dict[str, NDArray], list[_Shard]]:
+    """Every small column joined over shards, and how each shard lies in its file."""
     parts: dict[str, list[NDArray]] = {name: [] for name in (*_SMALL, _ROW_DIGEST, _SOURCE)}
     layout = []
+    table = tables.load(folder)
     for entry in entries:
         if entry.rows == 0:
             continue
@@ -172,11 +244,13 @@ def _read_small_and_layout(
         with open_shard(path) as file:
             for name in (*_SMALL, _ROW_DIGEST):
                 parts[name].append(file[name][()])
-            parts[_SOURCE].append(_source_of_rows(file, parts["object_id"][-1]))
-            offset = file["points"].id.get_offset()
-            if offset is None:
+            known = _sources_in(file) if "objects" in file else _sources_of(entry, table, folder)
+            ids = parts["object_id"][-1]
+            parts[_SOURCE].append(np.array([known.get(name, b"") for name in ids], "S64"))
+            offsets = {name: file[name].id.get_offset() for name in _MAPPED if name in file}
+            if None in offsets.values() or "points" not in offsets:
                 raise InputError(f"{path}: points are not stored contiguously; made by a hand?")
-            layout.append((path, offset, entry.rows))
+            layout.append(_Shard(path, entry.rows, offsets, "depth" in file))
     if not layout:
         raise InputError(f"{folder}: the split has no rows; see its failures.jsonl")
     return {name: np.concatenate(values) for name, values in parts.items()}, layout
@@ -200,8 +274,22 @@ def _file_digest(path: Path, _mtime: int, _size: int) -> str:
     return file_sha256(path)
 
 
-def _source_of_rows(file: h5py.File, object_ids: NDArray) -> NDArray:
-    """The source digest of each row's object, from the shard's table of objects."""
+def _sources_in(file: h5py.File) -> dict[bytes, bytes]:
+    """Object id → source digest, from a shard of format 1."""
     objects = file["objects"]
-    known = dict(zip(objects["object_id"][()], objects[_SOURCE][()], strict=True))
-    return np.array([known.get(name, b"") for name in object_ids], "S64")
+    return dict(zip(objects["object_id"][()], objects[_SOURCE][()], strict=True))
+
+
+def _sources_of(
+    entry: manifests.ShardEntry, table: dict[str, str], folder: Path
+) -> dict[bytes, bytes]:
+    """Object id → source digest, from the table of objects, which must be as the manifest says."""
+    text = table.get(entry.file, "")
+    path = folder / tables.NAME
+    if tables.text_digest(text) != entry.objects_sha256:
+        raise InputError(
+            f"{path} does not list the objects of {entry.file} as the manifest recorded them: "
+            f"missing, damaged or edited; run the render again"
+        )
+    lines = tables.parse(text, path)
+    return {line.object_id.encode(): line.source_sha256.encode() for line in lines}

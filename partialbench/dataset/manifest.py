@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import partialbench
-from partialbench.dataset.schema import FORMAT, FORMAT_VERSION
+from partialbench.dataset.manifest_check import require_sound
+from partialbench.dataset.schema import FORMAT, FORMAT_VERSION, READABLE
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import ConfigurationMismatchError, InputError
 
 NAME, FAILURES = "manifest.json", "failures.jsonl"
+_LATER = ("listing", "card_sha256")
+"""Fields that folders of earlier releases lack."""
 
 
 @dataclass
@@ -27,6 +30,7 @@ class ShardEntry:
         split, index: which slice of which split.
         rows, objects, bytes, sha256: of the file.
         failures: objects and views of this slice that gave no row, as in failures.jsonl.
+        objects_sha256: of this shard's lines in objects.jsonl; "" without rows, and in format 1.
     """
 
     file: str
@@ -37,6 +41,7 @@ class ShardEntry:
     bytes: int
     sha256: str
     failures: list[dict[str, Any]] = field(default_factory=list)
+    objects_sha256: str = ""
 
 
 @dataclass
@@ -49,9 +54,12 @@ class Manifest:
         class_names: label → name.
         state: "building" or "complete".
         shards: finished shards in split and index order.
+        listing: how the source's files were understood, in words; "" where there are none.
         listing_failures: what listing the source turned away.
+        card_sha256: of CARD.md as it was written, "" before.
         digests: split → content digest over its rows in order (independent of the shard size).
         versions: of what made it; not part of the configuration.
+        format_version: of the folder's files.
     """
 
     dataset_id: str
@@ -59,9 +67,12 @@ class Manifest:
     class_names: list[str]
     state: str = "building"
     shards: list[ShardEntry] = field(default_factory=list)
+    listing: str = ""
     listing_failures: list[dict[str, Any]] = field(default_factory=list)
+    card_sha256: str = ""
     digests: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
+    format_version: int = FORMAT_VERSION
 
     @property
     def configuration_digest(self) -> str:
@@ -79,6 +90,11 @@ class Manifest:
         return f"{sensor['name']}:{sensor['strength']:g}"
 
     @property
+    def has_poses(self) -> bool:
+        """Whether the rows' rotations are poses; else they are placeholders."""
+        return self.configuration.get("pose") != "none"
+
+    @property
     def failures(self) -> list[dict[str, Any]]:
         """Everything recorded as failed or rejected, listing first, then in shard order."""
         return [*self.listing_failures, *(f for shard in self.shards for f in shard.failures)]
@@ -91,16 +107,18 @@ class Manifest:
         """The splits that have shards, in order of appearance."""
         return list(dict.fromkeys(shard.split for shard in self.shards))
 
+    def failures_text(self) -> str:
+        """What failures.jsonl holds."""
+        return "".join(json.dumps(f, sort_keys=True) + "\n" for f in self.failures)
+
     def save(self, folder: Path) -> None:
         """Write manifest.json and failures.jsonl, each atomically."""
         data = {
             "format": FORMAT,
-            "format_version": FORMAT_VERSION,
             "configuration_digest": self.configuration_digest,
             **asdict(self),
         }
-        lines = "".join(json.dumps(f, sort_keys=True) + "\n" for f in self.failures)
-        write_atomically(folder / FAILURES, lines.encode())
+        write_atomically(folder / FAILURES, self.failures_text().encode())
         write_atomically(folder / NAME, (json.dumps(data, indent=1) + "\n").encode())
 
 
@@ -124,14 +142,18 @@ def load(folder: Path) -> Manifest:
             f"'partialbench render pm40 --out {folder}'"
         )
     try:
-        data = json.loads(path.read_text())
-        if (data["format"], data["format_version"]) != (FORMAT, FORMAT_VERSION):
+        data = json.loads(path.read_text("utf-8"))
+        if not isinstance(data, dict):
+            raise TypeError(f"it holds a {type(data).__name__}")
+        if data["format"] != FORMAT or data["format_version"] not in READABLE:
             raise InputError(
                 f"{path} has format {data['format']!r} version {data['format_version']!r}, "
-                f"expected {FORMAT!r} version {FORMAT_VERSION}"
+                f"expected {FORMAT!r} version {' or '.join(map(str, READABLE))}"
             )
         recorded = data["configuration_digest"]
-        fields = {k: data[k] for k in Manifest.__dataclass_fields__ if k != "shards"}
+        require_sound(data, str(path))
+        names = [k for k in Manifest.__dataclass_fields__ if k in data or k not in _LATER]
+        fields = {k: data[k] for k in names if k != "shards"}
         manifest = Manifest(**fields, shards=[ShardEntry(**entry) for entry in data["shards"]])
     except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is damaged ({type(error).__name__}: {error})") from error
@@ -144,7 +166,16 @@ def load(folder: Path) -> Manifest:
 
 
 def require_same(existing: Manifest, wanted: Manifest, folder: Path) -> None:
-    """Raise ``ConfigurationMismatchError`` naming each setting in which the folder differs."""
+    """Raise ``ConfigurationMismatchError`` naming each setting in which the folder differs.
+
+    A folder of an earlier format is not continued, whatever its configuration.
+    """
+    if existing.format_version != FORMAT_VERSION:
+        raise ConfigurationMismatchError(
+            f"{folder} was made by an earlier release, in format {existing.format_version} (this "
+            f"one writes {FORMAT_VERSION}): it is read as it is, but not continued. Choose another "
+            f"--out"
+        )
     if existing.configuration_digest == wanted.configuration_digest:
         return
     old = {"dataset_id": existing.dataset_id, **existing.configuration}

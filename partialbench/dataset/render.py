@@ -10,12 +10,15 @@ from typing import Any
 from partialbench import registry
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.build import BuildPlan
-from partialbench.dataset.rows import Job
+from partialbench.dataset.rows import LEAST_VISIBLE, Job
 from partialbench.dataset.sources import Occluder, Source
 from partialbench.errors import InputError
 
 DEFAULT_SOURCE = {"pm40": "parametric", "ps15": "rooms"}
 # The paper: ten views of every training object, one of every test object.
+MIN_VISIBLE = {"pm40": LEAST_VISIBLE, "ps15": 128}
+"""Distinct points that a view shows at least. A scan's are for people who sorted them by hand: "too
+few observed points" (paper, section 5.1)."""
 PAPER_VIEWS = {"pm40": {"train": 10, "test": 1}, "ps15": {"train": 10, "test": 10}}
 
 
@@ -31,6 +34,8 @@ def plan_render(
     splits: tuple[str, ...] | None = None,
     objects_per_class: int | None = None,
     points: int = 2048,
+    min_visible: int | None = None,
+    normals: bool = False,
     seed: int = 0,
     sensor: str | None = None,
     workers: int = 1,
@@ -47,6 +52,8 @@ def plan_render(
         sensor: depth noise, of the rendered images or, for simulated rooms, of the scanner.
         workers: processes for sources that generate or list in parallel.
         on_room: called with (rooms simulated, rooms in all).
+        min_visible: distinct points a view shows at least; default: the data set's.
+        normals: whether rows have the normals of their points.
         views: viewpoints per training object; test objects get one (PS15: the same number).
         splits: default: all the source has.
         objects_per_class: at most so many of each class in each split.
@@ -83,7 +90,7 @@ def plan_render(
     per_split = dict(PAPER_VIEWS[data_set])
     if views is not None:
         per_split = {"train": views, "test": views if data_set == "ps15" else 1}
-    chosen = splits or shapes.splits()
+    chosen = tuple(dict.fromkeys(splits or shapes.splits()))
     if unknown := [s for s in chosen if s not in shapes.splits()]:
         raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
     options = dict(occluder_options or {})
@@ -91,9 +98,12 @@ def plan_render(
         options["sensor"] = sensor
     if occluder_name == "whole":
         options["samples"] = points
+    if normals:
+        options["normals"] = True
     occluder = _make_occluder(occluder_name, options)
+    least = MIN_VISIBLE[data_set] if min_visible is None else min_visible
     return BuildPlan(
-        Job(shapes, occluder, dataset_id, setting, per_split, points, seed),
+        Job(shapes, occluder, dataset_id, setting, per_split, points, seed, least),
         Path(out),
         tuple(chosen),
         None if objects_per_class is None else dict.fromkeys(chosen, objects_per_class),

@@ -14,16 +14,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from partialbench.dataset.schema import FIELDS, OBJECT_ID_BYTES
+from partialbench.dataset.names import printable
+from partialbench.dataset.objects import stored_id
+from partialbench.dataset.schema import FIELDS
 from partialbench.dataset.seeding import generator
-from partialbench.dataset.shards import Columns, row_digests
-from partialbench.dataset.sources import ObjectRef, Occluder, RejectedView, Source, View
+from partialbench.dataset.shards import Columns, PackedImages, pack_image, row_digests
+from partialbench.dataset.sources import (
+    FEW_POINTS,
+    ObjectRef,
+    Occluder,
+    RejectedView,
+    Source,
+    View,
+)
 from partialbench.errors import InputError
 from partialbench.geometry.camera import sample_pose
 from partialbench.geometry.symmetry import symmetry_of
 
 ALIGNED_POSE = (np.eye(3), np.array([0.0, 0.0, 3.5]))
 """The pose of the setting "aligned": canonical orientation, at the middle of the paper's depths."""
+
+LEAST_VISIBLE = 16
+"""Distinct points that a view shows at least, by default: fewer tell nothing of a shape."""
 
 BROKEN_INPUT = (InputError, ArithmeticError, LookupError, OSError, ValueError, RuntimeError)
 """The errors by which a damaged input shows itself: recorded, and the run goes on."""
@@ -39,6 +51,7 @@ class Job:
         views: split → viewpoints per object.
         points: P, points per row.
         seed: of the whole data set.
+        min_visible: a view that shows fewer distinct points is turned away.
     """
 
     source: Source
@@ -48,6 +61,7 @@ class Job:
     views: dict[str, int]
     points: int
     seed: int
+    min_visible: int = LEAST_VISIBLE
 
 
 @dataclass
@@ -55,7 +69,8 @@ class ObjectRows:
     """What became of one object.
 
     Attributes:
-        columns: its rows (possibly none).
+        columns: its rows (possibly none), without their depth images.
+        depth: the rows' depth images where they are kept, already packed.
         source_sha256: digest of what it was made from, "" when it could not be read.
         failures: JSON records of what gave no row.
     """
@@ -64,6 +79,7 @@ class ObjectRows:
     columns: Columns | None
     source_sha256: str = ""
     failures: list[dict[str, Any]] = field(default_factory=list)
+    depth: PackedImages | None = None
 
 
 def make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
@@ -78,7 +94,7 @@ def failure_record(ref: ObjectRef, error: BaseException | str) -> dict[str, Any]
     """The line of failures.jsonl for an object that an error stopped."""
     return {
         "kind": "failed", "split": ref.split, "object_id": ref.object_id,
-        "location": ref.location,
+        "location": printable(ref.location),
         "reason": error if isinstance(error, str) else reason_of(error),
     }  # fmt: skip
 
@@ -90,11 +106,7 @@ def reason_of(error: BaseException) -> str:
 
 
 def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
-    encoded = ref.object_id.encode()
-    if len(encoded) > OBJECT_ID_BYTES:
-        raise InputError(
-            f"object id {ref.object_id!r} has {len(encoded)} bytes, a shard holds {OBJECT_ID_BYTES}"
-        )
+    encoded = stored_id(ref.object_id)
     shape = job.source.load(ref)
     views = job.views[ref.split]
     key = (job.dataset_id, ref.split, ref.object_id)
@@ -102,17 +114,31 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
     rngs = [generator(job.seed, *key, v, "occluder") for v in range(views)]
     class_symmetry = symmetry_of(job.source.class_names[ref.label]).name
     rows: list[dict[str, Any]] = []
+    images: list[bytes] = []
     failures = []
+    image_shape = (0, 0)
     for v, view in enumerate(job.occluder.views(shape, poses, rngs)):
+        if isinstance(view, View) and view.n_visible < job.min_visible:
+            details = {"visible": int(view.n_visible), "minimum": job.min_visible}
+            view = RejectedView(FEW_POINTS, details)
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
-                 "location": ref.location, "reason": view.reason, "details": view.details}
+                 "location": printable(ref.location), "reason": view.reason, "details": view.details}
             )  # fmt: skip
             continue
-        points = draw(view.points, job.points, generator(job.seed, *key, v, "draw"))
-        rows.append(_row(view, points, ref.label, encoded, v, view.symmetry or class_symmetry))
-    return ObjectRows(ref.object_id, _stack(rows), job.source.digest(ref), failures)
+        chosen = draw(len(view.points), job.points, generator(job.seed, *key, v, "draw"))
+        rows.append(_row(view, chosen, ref.label, encoded, v, view.symmetry or class_symmetry))
+        if view.depth is not None:
+            images.append(pack_image(view.depth))
+            image_shape = view.depth.shape
+    return ObjectRows(
+        ref.object_id,
+        _stack(rows),
+        job.source.digest(ref),
+        failures,
+        PackedImages(image_shape, images) if images else None,
+    )
 
 
 def _poses(
@@ -126,25 +152,22 @@ def _poses(
     return choose(shape, rngs) if choose else [sample_pose(rng) for rng in rngs]
 
 
-def draw(points: NDArray, count: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """``count`` of the (n,3) points in random order: (count,3) float32.
+def draw(n: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """``count`` of the indices 0 … n − 1 in random order: (count,) int64.
 
     Without replacement; where n < count, all of them first, then repeats drawn at random.
     """
-    n = len(points)
     if n == 0:
         raise InputError("a view has no visible point")
     if n >= count:
-        chosen = rng.choice(n, count, replace=False)
-    else:
-        chosen = np.concatenate([rng.permutation(n), rng.integers(0, n, count - n)])
-    return np.asarray(points[chosen], np.float32)
+        return rng.choice(n, count, replace=False)
+    return np.concatenate([rng.permutation(n), rng.integers(0, n, count - n)])
 
 
-def _row(view: View, points: NDArray, label: int, object_id: bytes, index: int,
+def _row(view: View, chosen: NDArray, label: int, object_id: bytes, index: int,
          symmetry: str) -> dict[str, Any]:  # fmt: skip
     row: dict[str, Any] = {
-        "points": points,
+        "points": view.points[chosen],
         "label": label,
         "object_id": object_id,
         "view": index,
@@ -155,8 +178,12 @@ def _row(view: View, points: NDArray, label: int, object_id: bytes, index: int,
         "n_visible": view.n_visible,
         "symmetry": symmetry.encode(),
     }
-    if view.depth is not None:
-        row["depth"] = view.depth
+    if view.normals is not None:
+        if len(view.normals) != len(view.points):
+            raise InputError(
+                f"the occluder gave {len(view.normals)} normals for {len(view.points)} points"
+            )
+        row["normals"] = view.normals[chosen]
     return row
 
 
@@ -168,8 +195,8 @@ def _stack(rows: list[dict[str, Any]]) -> Columns | None:
         for field in FIELDS
         if field.name in rows[0]
     }
-    for name in ("points", "R_camera_object", "t_camera_object", "visible_fraction"):
-        if not np.isfinite(columns[name]).all():
+    for name, values in columns.items():
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise InputError(f"the occluder gave non-finite values in {name!r}")
     columns["row_sha256"] = row_digests(columns)
     return columns

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 FORMAT = "partialbench-shards"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+READABLE = (1, FORMAT_VERSION)
+"""What is read. Format 1 had the table of objects inside each shard; folders of it are complete or
+stay as they are."""
 OBJECT_ID_BYTES = 96
 
 
@@ -19,7 +22,7 @@ class Field:
         shape: per row; "P" stands for the points of a row, "H" and "W" for the image size.
         dtype: as stored.
         frame, unit: of the values; "" where they have none.
-        optional: whether a shard may lack it.
+        optional: whether a shard may lack it. The row digest does not cover such a field.
     """
 
     name: str
@@ -42,7 +45,8 @@ FIELDS: tuple[Field, ...] = (
            "all of them first and repeats after"),
     _field("label", (), "<i4", "", "", "index into the manifest's class_names"),
     _field("object_id", (), f"S{OBJECT_ID_BYTES}", "", "",
-           "the source's name for the object, UTF-8, unique within a split"),
+           "the source's name for the object, UTF-8, unique within a split; where it does not fit, "
+           "its beginning and a hash (objects.jsonl has the whole)"),
     _field("view", (), "<i4", "", "", "index of the viewpoint among the object's"),
     _field("R_camera_object", (3, 3), "<f8", "camera ← object", "", "p_camera = R·p_object + t"),
     _field("t_camera_object", (3,), "<f8", "camera ← object", "object units", "the t of the same"),
@@ -54,18 +58,15 @@ FIELDS: tuple[Field, ...] = (
     _field("row_sha256", (32,), "|u1", "", "", "SHA-256 over the fields above, in this order"),
     _field("depth", ("H", "W"), "<f4", "camera", "object units",
            "z-depth image at pixel centres, 0 = no surface", optional=True),
+    _field("normals", ("P", 3), "<f4", "camera", "",
+           "unit normals of the surface at the points, towards the camera (n·p < 0)",
+           optional=True),
 )  # fmt: skip
 """Every field of a row, in the order in which the row digest reads them."""
 
 _NAMES = tuple(f.name for f in FIELDS)
 DIGESTED = _NAMES[: _NAMES.index("row_sha256")]
-"""The fields that the row digest covers."""
-
-OBJECT_FIELDS: tuple[Field, ...] = (
-    _field("object_id", (), f"S{OBJECT_ID_BYTES}", "", "", "as in the rows"),
-    _field("source_sha256", (), "S64", "", "", "digest of the bytes the object was made from"),
-)  # fmt: skip
-"""The group ``objects``: one entry per object of the shard, in row order."""
+"""The fields that the row digest covers: what may be kept beside the points leaves it as it is."""
 
 
 def as_markdown() -> str:

@@ -1,8 +1,9 @@
 """One shard: rows in memory ↔ an HDF5 file whose bytes depend on the rows alone.
 
 Data sets are contiguous and uncompressed, so that a reader can map them into memory; depth images,
-when kept, are chunked by row and compressed. A file is assembled in memory, written to a temporary
-name, flushed to disk and renamed: under its final name it is always whole.
+when kept, are chunked by row and compressed, by the workers that made them: no process holds a
+shard's images as they are. A file is assembled in memory, written to a temporary name, flushed to
+disk and renamed: under its final name it is always whole.
 """
 
 from __future__ import annotations
@@ -10,20 +11,43 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import secrets
+import zlib
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from partialbench.dataset.schema import DIGESTED, FIELDS, FORMAT, FORMAT_VERSION, OBJECT_FIELDS
+from partialbench.dataset.schema import DIGESTED, FIELDS, FORMAT, FORMAT_VERSION, READABLE
 from partialbench.errors import InputError, PartialbenchError
 
 Columns = dict[str, NDArray]
 """Field name → (M, …) array with the schema's dtype."""
 
 TEMPORARY_SUFFIX = ".part"
+_DEFLATE_LEVEL = 1
+
+
+@dataclass
+class PackedImages:
+    """Depth images as a shard stores them: each a chunk, its bytes shuffled and deflated.
+
+    Attributes:
+        shape: (H,W) of every image.
+        chunks: one per row.
+    """
+
+    shape: tuple[int, int]
+    chunks: list[bytes]
+
+
+def pack_image(image: NDArray) -> bytes:
+    """An (H,W) image as HDF5's filters "shuffle" and "deflate" would have it."""
+    data = np.ascontiguousarray(image, "<f4").view(np.uint8).reshape(-1, 4)
+    return zlib.compress(data.T.tobytes(), _DEFLATE_LEVEL)
 
 
 def concatenate(parts: list[Columns]) -> Columns:
@@ -57,8 +81,15 @@ def content_digest(digests: Iterable[NDArray[np.uint8]]) -> str:
     return whole.hexdigest()
 
 
-def shard_bytes(columns: Columns, objects: Columns, attributes: Mapping[str, str | int]) -> bytes:
-    """The bytes of the HDF5 file with these rows; equal rows give equal bytes."""
+def shard_bytes(
+    columns: Columns, attributes: Mapping[str, str | int], depth: PackedImages | None = None
+) -> bytes:
+    """The bytes of the HDF5 file with these rows; equal rows give equal bytes.
+
+    Args:
+        columns: every field but ``depth``.
+        depth: its images, let go one by one as they are written.
+    """
     image = h5py.File("shard", "w", driver="core", backing_store=False, libver=("v108", "v108"))
     with image:
         image.attrs["format"] = FORMAT
@@ -66,26 +97,32 @@ def shard_bytes(columns: Columns, objects: Columns, attributes: Mapping[str, str
         for name, value in sorted(attributes.items()):
             image.attrs[name] = value
         for field in FIELDS:
-            if field.name not in columns:
-                if not field.optional:
-                    raise ValueError(f"a shard needs the field {field.name!r}")
+            if field.name in columns:
+                data = np.ascontiguousarray(columns[field.name], dtype=field.dtype)
+                dataset = image.create_dataset(field.name, data=data, track_times=False)
+            elif field.name == "depth" and depth is not None:
+                dataset = _write_images(image, field.name, depth)
+            elif field.optional:
                 continue
-            data = np.ascontiguousarray(columns[field.name], dtype=field.dtype)
-            packed = (
-                {"chunks": (1, *data.shape[1:]), "compression": "gzip", "compression_opts": 1,
-                 "shuffle": True} if field.optional and len(data) else {}
-            )  # fmt: skip
-            dataset = image.create_dataset(field.name, data=data, track_times=False, **packed)
+            else:
+                raise ValueError(f"a shard needs the field {field.name!r}")
             dataset.attrs["meaning"] = field.meaning
             dataset.attrs["frame"] = field.frame
             dataset.attrs["unit"] = field.unit
-        group = image.create_group("objects")
-        for field in OBJECT_FIELDS:
-            group.create_dataset(
-                field.name, data=objects[field.name].astype(field.dtype), track_times=False
-            )
         image.flush()
         return image.id.get_file_image()
+
+
+def _write_images(file: h5py.File, name: str, images: PackedImages) -> h5py.Dataset:
+    chunks = images.chunks
+    dataset = file.create_dataset(
+        name, (len(chunks), *images.shape), "<f4", chunks=(1, *images.shape), shuffle=True,
+        compression="gzip", compression_opts=_DEFLATE_LEVEL, track_times=False,
+    )  # fmt: skip
+    for i, chunk in enumerate(chunks):
+        dataset.id.write_direct_chunk((i, 0, 0), chunk)
+        chunks[i] = b""
+    return dataset
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -95,7 +132,8 @@ def write_atomically(path: Path, data: bytes) -> None:
         PartialbenchError: the system refused (disk full, quota, read-only); the temporary file is
             removed and whatever was at ``path`` is untouched.
     """
-    temporary = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
+    # Two processes may write one file at once: each has a name of its own till it is whole.
+    temporary = path.with_name(f".{path.name[:200]}.{secrets.token_hex(6)}{TEMPORARY_SUFFIX}")
     try:
         with open(temporary, "wb") as file:
             file.write(data)
@@ -131,21 +169,23 @@ def file_sha256(path: Path) -> str:
 def open_shard(path: Path) -> h5py.File:
     """The file opened for reading; ``InputError`` when it is not a shard of a known version."""
     try:
-        file = h5py.File(path, "r")
+        # Shards are whole under their name; some file systems have no locks to ask for.
+        file = h5py.File(path, "r", locking=False)
     except OSError as error:
         raise InputError(f"{path} is not a readable HDF5 file: {error}") from error
-    found = file.attrs.get("format"), file.attrs.get("format_version")
-    if found != (FORMAT, FORMAT_VERSION):
+    name, version = file.attrs.get("format"), file.attrs.get("format_version")
+    if name != FORMAT or version not in READABLE:
         file.close()
         raise InputError(
-            f"{path} has format {found[0]!r} version {found[1]!r}, expected {FORMAT!r} version "
-            f"{FORMAT_VERSION}; make it again, or read it with the release that made it"
+            f"{path} has format {name!r} version {version!r}, expected {FORMAT!r} version "
+            f"{' or '.join(map(str, READABLE))}; make it again, or read it with the release that "
+            f"made it"
         )
     return file
 
 
 def read_columns(path: Path, names: Iterable[str] | None = None) -> Columns:
-    """The named fields (default: all but ``depth``) of one shard, in memory."""
+    """The named fields (default: all that are not optional) of one shard, in memory."""
     wanted = [f.name for f in FIELDS if not f.optional] if names is None else list(names)
     with open_shard(path) as file:
         absent = [name for name in wanted if name not in file]

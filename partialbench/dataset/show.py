@@ -6,6 +6,7 @@ the object's canonical axes (x red, y green, z blue) and the visible fraction in
 
 from __future__ import annotations
 
+import html
 import io
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 from partialbench.dataset.loader import ShardDataset
+from partialbench.dataset.names import printable
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import make_folder, write_atomically
 from partialbench.errors import InputError
@@ -81,7 +83,8 @@ def _write_png(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
         x, y = picture(cloud, data.translations[row])[far_first].T
         axes.scatter(x, y, c=-cloud[far_first, 2], s=1.5, cmap="viridis", lw=0)
         _draw_axes(axes, data.rotations[row])
-        axes.set_title(_title(data, row, "\n"), fontsize=6.5)
+        # A name may have signs that are mathematics to Matplotlib.
+        axes.set_title(_title(data, row, "\n"), fontsize=6.5, parse_math=False)
         axes.set_aspect("equal")
         axes.set_xlim(-1.3, 1.3)
         axes.set_ylim(1.3, -1.3)  # y points down
@@ -107,7 +110,8 @@ def _title(data: ShardDataset, row: int, after_class: str) -> str:
     """Class, object and the share that is seen, where it is known."""
     share = data.visible_fraction[row]
     seen = f" · {share:.0%} seen" if share > 0 else ""
-    return f"{data.class_names[data.labels[row]]}{after_class}{data.object_ids[row]}{seen}"
+    category, name = data.class_names[data.labels[row]], str(data.object_ids[row])
+    return f"{printable(category)}{after_class}{printable(name)}{seen}"
 
 
 def _draw_axes(axes: Axes, rotation: NDArray, length: float = 0.3) -> None:
@@ -129,7 +133,7 @@ def _write_html(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
 
     columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
-    titles = [_title(data, row, " · ") for row in rows]
+    titles = [html.escape(_title(data, row, " · "), quote=False) for row in rows]
     figure = make_subplots(
         lines, columns, specs=[[{"type": "scene"}] * columns] * lines, subplot_titles=titles,
         horizontal_spacing=0.01, vertical_spacing=0.4 / lines / 4,

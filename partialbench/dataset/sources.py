@@ -46,6 +46,10 @@ class OrientedCloud:
     normals: NDArray[np.float32]
 
 
+FEW_POINTS = "too few points"
+"""The reason of a view that shows fewer distinct points than it must."""
+
+
 @dataclass
 class View:
     """What one viewpoint sees of one object.
@@ -58,6 +62,8 @@ class View:
         visible_fraction: share of the surface area (or of the object's points) seen, in [0, 1].
         n_visible: number of distinct surface points behind ``points`` before drawing.
         depth: (H,W) float32 z-depth, 0 = no surface, or None.
+        normals: (n,3) float32 unit normals of the surface at ``points``, camera frame, turned to
+            the camera (n·p < 0), or None.
         symmetry: name of this object's own symmetry group (``geometry.symmetry.GROUPS``), or None
             for its class's.
     """
@@ -69,6 +75,7 @@ class View:
     visible_fraction: float
     n_visible: int
     depth: NDArray[np.float32] | None = None
+    normals: NDArray[np.float32] | None = None
     symmetry: str | None = None
 
 
@@ -108,7 +115,8 @@ class Source(Protocol):
     A source may also have ``poses(shape, rngs) -> list[(R_camera_object, t_camera_object)]``, one
     pose per generator: scanned scenes choose viewpoints where a person could stand. Without it the
     builder draws the paper's poses (``geometry.camera.sample_pose``), as it does for every source
-    in the setting "rotated".
+    in the setting "rotated". It may have ``listing``, a sentence on how its files were understood,
+    and ``pose``: "none" where nobody knows the poses of its objects.
 
     Attributes:
         class_names: label → name, in label order.

@@ -13,10 +13,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from partialbench.dataset import manifest as manifests
+from partialbench.dataset import objects as tables
+from partialbench.dataset.card import NAME as CARD
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.schema import DIGESTED, FIELDS
 from partialbench.dataset.shards import (
@@ -35,6 +38,8 @@ BALL_TOLERANCE = 1e-3
 """How far outside the unit ball a point may lie (object units)."""
 SURFACE_TOLERANCE = 1e-4
 """How far off the source's surface an ideal sensor's point may lie (object units)."""
+UNIT_TOLERANCE = 1e-5
+"""How far from 1 a normal's length may be, and how far beyond a right angle it may look away."""
 
 
 @dataclass
@@ -86,12 +91,14 @@ def verify(
     for path in sorted(folder.glob("*.h5")):
         if path.name not in known:
             report.problems.append(f"{path.name} is not in the manifest")
+    report.problems += _papers_problems(folder, manifest)
+    table = _table(folder, manifest, report)
     digests: dict[str, list[NDArray]] = {}
     seen: dict[str, set[tuple[bytes, int]]] = {}
     surface: list[NDArray] = []
     written = [entry for entry in manifest.shards if entry.rows]
     for n, entry in enumerate(written):
-        columns = _read_and_check(folder, manifest, entry, report)
+        columns = _read_and_check(folder, manifest, entry, table, report)
         if columns is not None:
             digests.setdefault(entry.split, []).append(columns["row_sha256"])
             report.rows[entry.split] = report.rows.get(entry.split, 0) + len(columns["label"])
@@ -115,8 +122,72 @@ def verify(
     return report
 
 
+def _papers_problems(folder: Path, manifest: Manifest) -> list[str]:
+    """What is wrong with what lies beside the shards, and with what the manifest should have."""
+    problems = []
+    if not manifest.shards:
+        problems.append(f"{manifests.NAME} lists no shards")
+    if manifest.state == "complete":
+        for split in manifest.splits():
+            if split not in manifest.digests:
+                problems.append(f"{manifests.NAME} has no content digest of the split {split!r}")
+        for split in manifest.digests.keys() - set(manifest.splits()):
+            problems.append(f"{manifests.NAME} has a digest of {split!r}, a split without shards")
+    path = folder / manifests.FAILURES
+    if not path.is_file():
+        problems.append(f"{manifests.FAILURES} is missing")
+    elif path.read_bytes() != manifest.failures_text().encode():
+        problems.append(f"{manifests.FAILURES} does not say what {manifests.NAME} recorded")
+    if manifest.card_sha256:
+        path = folder / CARD
+        if not path.is_file():
+            problems.append(f"{CARD} is missing")
+        elif file_sha256(path) != manifest.card_sha256:
+            problems.append(f"{CARD} is not as it was written: damaged or edited")
+    return problems
+
+
+def _table(folder: Path, manifest: Manifest, report: Report) -> dict[str, str]:
+    """objects.jsonl by shard, in format 2; what is wrong with the whole of it is reported."""
+    if manifest.format_version == 1:
+        return {}
+    if not (folder / tables.NAME).is_file():
+        report.problems.append(f"{tables.NAME} is missing; run the render command again")
+        return {}
+    try:
+        table = tables.load(folder)
+    except InputError as error:
+        report.problems.append(str(error))
+        return {}
+    for shard in table.keys() - {entry.file for entry in manifest.shards if entry.rows}:
+        report.problems.append(f"{tables.NAME} lists objects of {shard!r}, the manifest has none")
+    return table
+
+
+def _table_problems(
+    folder: Path, columns: Columns, entry: ShardEntry, table: dict[str, str]
+) -> list[str]:
+    """What is wrong with a shard's lines in objects.jsonl."""
+    text = table.get(entry.file, "")
+    if tables.text_digest(text) != entry.objects_sha256:
+        return [
+            f"its objects in {tables.NAME} are not those the manifest recorded: missing, damaged "
+            f"or edited"
+        ]
+    try:
+        lines = tables.parse(text, folder / tables.NAME)
+    except InputError as error:
+        return [str(error)]
+    problems = []
+    if {line.object_id.encode() for line in lines} != set(columns["object_id"].tolist()):
+        problems.append(f"its objects are not those that {tables.NAME} lists")
+    if any(line.split != entry.split for line in lines):
+        problems.append(f"{tables.NAME} lists objects of it in another split")
+    return problems
+
+
 def _read_and_check(
-    folder: Path, manifest: Manifest, entry: ShardEntry, report: Report
+    folder: Path, manifest: Manifest, entry: ShardEntry, table: dict[str, str], report: Report
 ) -> Columns | None:
     """The shard's columns when its bytes and schema are as recorded, else None."""
     path = folder / entry.file
@@ -135,20 +206,42 @@ def _read_and_check(
         )
     try:
         with open_shard(path) as file:
+            # Before anything is read: a field may be said to be larger than any memory.
+            if schema := _schema_problems(file, manifest, entry):
+                for text in schema:
+                    problem(text)
+                return None
             columns = {f.name: file[f.name][()] for f in FIELDS if f.name in file}
+            if "configuration_digest" not in file.attrs:
+                problem("does not say which configuration it was made with")
+                return None
             recorded = file.attrs["configuration_digest"]
-            rows_of_objects = len(file["objects/object_id"])
-    except (InputError, OSError, KeyError, RuntimeError) as error:
+            listed = set(file["objects/object_id"][()]) if "objects" in file else None
+            version = file.attrs["format_version"]
+    except (
+        InputError,
+        OSError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        MemoryError,
+    ) as error:
         problem(f"not readable: {error}")
         return None
     if recorded != manifest.configuration_digest:
         problem("made with another configuration than the manifest's")
-    if schema := _schema_problems(columns, manifest, entry):
-        for text in schema:
+    if version != manifest.format_version:
+        problem(f"has format {version}, the manifest says {manifest.format_version}")
+    elif manifest.format_version == 1:
+        if listed != set(columns["object_id"].tolist()):
+            problem("its objects are not those of its rows")
+    else:
+        for text in _table_problems(folder, columns, entry, table):
             problem(text)
-        return None
-    if rows_of_objects > entry.objects:
-        problem(f"lists {rows_of_objects} objects, the manifest says {entry.objects}")
+    distinct = len(set(columns["object_id"].tolist()))
+    if distinct > entry.objects:
+        problem(f"has rows of {distinct} objects, the manifest says {entry.objects}")
     wrong = np.flatnonzero((row_digests(columns) != columns["row_sha256"]).any(axis=1))
     if len(wrong):
         problem(f"{len(wrong)} row(s) do not match their digest, the first is row {wrong[0]}")
@@ -157,14 +250,19 @@ def _read_and_check(
     return columns
 
 
-def _schema_problems(columns: Columns, manifest: Manifest, entry: ShardEntry) -> list[str]:
-    problems = []
+def _schema_problems(file: h5py.File, manifest: Manifest, entry: ShardEntry) -> list[str]:
+    known = {f.name for f in FIELDS} | ({"objects"} if manifest.format_version == 1 else set())
+    problems = [f"holds {name!r}, which is no field of a row" for name in sorted(set(file) - known)]
     for f in FIELDS:
-        if f.name not in columns:
+        if f.name not in file:
             if not f.optional:
                 problems.append(f"lacks the field {f.name!r}")
             continue
-        shape, dtype = columns[f.name].shape, columns[f.name].dtype
+        field = file.get(f.name)
+        if not isinstance(field, h5py.Dataset):
+            problems.append(f"{f.name!r} is no array of numbers")
+            continue
+        shape, dtype = field.shape, field.dtype
         sizes = {"P": manifest.configuration["points"]}
         expected = tuple(sizes.get(s, s) if isinstance(s, str) else s for s in f.shape)
         fits = len(shape) == 1 + len(expected) and all(
@@ -177,10 +275,18 @@ def _schema_problems(columns: Columns, manifest: Manifest, entry: ShardEntry) ->
     return problems
 
 
+def _is_text(name: bytes) -> bool:
+    try:
+        name.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
 def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
     problems: list[str] = []
 
-    def require(good: NDArray, what: str) -> None:
+    def require(good: ArrayLike, what: str) -> None:
         bad = np.flatnonzero(~np.asarray(good))
         if len(bad):
             problems.append(f"{what} in {len(bad)} row(s), the first is row {bad[0]}")
@@ -195,14 +301,23 @@ def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
     require(is_rotation(R), "R_camera_object is not a rotation")
     labels = columns["label"]
     require((labels >= 0) & (labels < len(manifest.class_names)), "label is out of range")
-    require(columns["n_visible"] >= 1, "n_visible is below 1")
     fraction = columns["visible_fraction"]
     require((fraction >= 0) & (fraction <= 1), "visible_fraction is outside [0, 1]")
+    require([_is_text(name) for name in columns["object_id"].tolist()], "object_id is no UTF-8")
     known = {name.encode() for name in GROUPS}
     require(np.array([s in known for s in columns["symmetry"]]), "symmetry is no known group")
+    minimum = manifest.configuration.get("min_visible", 1)
+    require(columns["n_visible"] >= minimum, f"n_visible is below the folder's {minimum}")
     if problems:
         return problems
     points = columns["points"].astype(np.float64)
+    if "normals" in columns:
+        normals = columns["normals"].astype(np.float64)
+        length = np.linalg.norm(normals, axis=2)
+        unit = (np.abs(length - 1) <= UNIT_TOLERANCE).all(axis=1)  # False for NaN as well
+        require(unit, "normals are no unit vectors")
+        facing = (normals * points).sum(axis=2) / np.linalg.norm(points, axis=2)
+        require((facing <= UNIT_TOLERANCE).all(axis=1), "normals look away from the camera")
     canonical = (points - t[:, None]) @ R
     radius = np.linalg.norm(canonical, axis=2).max(axis=1)
     # A noisy sensor's flying pixels may lie anywhere along their ray.
@@ -226,14 +341,23 @@ def _surface_distances(
     entry: ShardEntry, columns: Columns, source: Source, share: int, report: Report
 ) -> list[NDArray]:
     """Distance of 64 points of ``share`` rows to the source's surface, (64,) each."""
-    refs = {ref.object_id: ref for ref in source.objects(entry.split)}
+    try:
+        refs = {tables.stored_id(ref.object_id): ref for ref in source.objects(entry.split)}
+    except InputError as error:
+        report.problems.append(f"{entry.file}: {error}")
+        return []
     found = []
     for row in np.unique(np.linspace(0, entry.rows - 1, share).astype(int)):
-        object_id = columns["object_id"][row].decode()
-        if object_id not in refs:
-            report.problems.append(f"{entry.file}: the source has no object {object_id!r}")
+        stored = bytes(columns["object_id"][row])
+        if stored not in refs:
+            name = stored.decode("utf-8", "backslashreplace")
+            report.problems.append(f"{entry.file}: the source has no object {name!r}")
             continue
-        shape = source.load(refs[object_id])
+        try:
+            shape = source.load(refs[stored])
+        except InputError as error:
+            report.problems.append(f"{entry.file}: row {row} has no source: {error}")
+            continue
         R, t = columns["R_camera_object"][row], columns["t_camera_object"][row]
         found.append(surface_distance(shape, (columns["points"][row][:64] - t) @ R))
     return found

@@ -1,27 +1,33 @@
-"""Complete clouds as a source: an HDF5 file of many, or a folder of one file an object."""
+"""Complete clouds as a source: an HDF5 file of many, a release of them, or one file an object."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import os
+import zipfile
 from os import PathLike
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset.categories import MODELNET40
-from partialbench.dataset.cloud_files import SUFFIXES, read_cloud
-from partialbench.dataset.sources import ObjectRef, RejectedObject
+from partialbench.dataset.cloud_files import FORMATS, read_oriented
+from partialbench.dataset.cloud_formats.text import looks_like_points
+from partialbench.dataset.names import printable
+from partialbench.dataset.sources import ObjectRef, OrientedCloud
 from partialbench.errors import InputError
-from renderers.sources.files import SPLITS, Directory
-from renderers.sources.folder import LAYOUT, split_of
+from renderers.sources.cloud_store import HdfStore
+from renderers.sources.files import Files, open_files
+from renderers.sources.folder import EXPECTED
+from renderers.sources.listing import Listing, list_tree
+from renderers.sources.lists import is_list
+from renderers.sources.ply_hdf5 import PlyHdf5Store, fields_of, hdf5_files, is_ply_hdf5
 
-CODE_MAX = 4095
-ENCODING = "xyz = code / 4095 * 2 - 1"
+UPS = ("z", "y")
+_TEXT = (".txt", ".csv", ".pts", ".xyz")
+_PROSE = ("readme", "license", "licence", "notes", "changelog", "citation", "metadata", "index")
+_HEAD = 4096
 
 
 class CompleteClouds:
@@ -29,9 +35,11 @@ class CompleteClouds:
 
     Either an HDF5 file with the groups ``train`` and ``test`` (at least one), each with ``points``
     ((M,3,N) or (M,N,3): floats, or uint16 codes with xyz = code/4095·2 − 1), ``label`` (M,) and
-    ``object_id`` (M,), and ``class_names`` beside them; or a folder of PLY, PCD, XYZ, TXT or NPY
-    files as ``<class>/<split>/<file>`` or ``<class>/<file>``. Files are read when asked for.
+    ``object_id`` (M,), and ``class_names`` beside them; or the folder or a file of
+    modelnet40_ply_hdf5_2048; or a folder or zip of files as ``cloud_files`` reads them, in any
+    layout that ``layout`` understands. Files are read when asked for.
 
+    Points that are there more than once count once, as files padded to a fixed size repeat some.
     Normalising again is not idle for stored clouds: a cloud sampled from a mesh with a stray vertex
     sits away from the centre of that mesh's box.
 
@@ -39,7 +47,7 @@ class CompleteClouds:
         path: the file or the folder.
         up: the files' upward axis, "z" or "y" (y is turned onto z).
         aligned: whether all objects of a class face the same way, as pose labels need; by default
-            yes for an HDF5 file, no for a folder.
+            yes for an HDF5 file of the first kind, no for all others.
 
     Attributes: as ``partialbench.dataset.sources.Source``.
 
@@ -50,34 +58,54 @@ class CompleteClouds:
     def __init__(
         self, path: str | PathLike[str], up: str = "z", aligned: bool | None = None
     ) -> None:
-        if up not in ("z", "y"):
-            raise InputError(f"up must be one of z, y, got {up!r}")
+        if up not in UPS:
+            raise InputError(f"up must be one of {', '.join(UPS)}, got {up!r}")
         path = Path(path)
         if not path.exists():
             raise InputError(f"{path} does not exist; expected an HDF5 file or a folder of clouds")
-        self._store: _Store = _FolderStore(path) if path.is_dir() else _HdfStore(path)
+        self._store = _store(path)
+        own = isinstance(self._store, HdfStore)
         self.up = up
-        self.frame = "aligned" if (path.is_file() if aligned is None else aligned) else "original"
-        self.class_names = self._store.class_names
-        self.rejected = self._store.rejected
+        self.frame = "aligned" if (own if aligned is None else aligned) else "original"
+        listed = self._store.listing
+        self.class_names = listed.class_names
+        self.rejected = listed.rejected
+        self.listing = listed.words
+        refs = [ref for split in listed.splits() for ref in listed.of(split)]
+        present = {self.class_names[ref.label] for ref in refs}
+        self.name = "clouds" if present == set(MODELNET40) else "custom-clouds"
 
     def splits(self) -> tuple[str, ...]:
         """The splits that have objects."""
-        return tuple(split for split in SPLITS if self._store.refs.get(split))
+        return self._store.listing.splits()
 
     def objects(self, split: str) -> list[ObjectRef]:
         """The split's objects in the file's order, or by class and name for a folder."""
-        if split not in SPLITS:
-            raise InputError(f"no split {split!r}; expected one of {', '.join(SPLITS)}")
-        return list(self._store.refs.get(split, []))
+        return self._store.listing.of(split)
 
-    def load(self, ref: ObjectRef) -> NDArray[np.float32]:
-        """The cloud, (n,3) float32, object frame, z up, in the unit ball."""
-        points = self._store.points(ref)
-        if self.up == "y":
-            x, y, z = points.T
-            points = np.stack([x, -z, y], axis=1)
-        return normalise_cloud(points, ref.location)
+    def load(self, ref: ObjectRef) -> NDArray[np.float32] | OrientedCloud:
+        """The cloud, (n,3) float32, object frame, z up, in the unit ball; with its normals where
+        the file has them.
+
+        Raises:
+            InputError: what is wrong with the file; all points at one place; rows of zeros, which
+                are padding or no measurement.
+        """
+        name = printable(ref.location)
+        points, normals = self._store.cloud(ref)
+        _require_no_padding(points, name)
+        points = normalise_cloud(self._turned(points), name)
+        _, first = np.unique(points, axis=0, return_index=True)
+        first.sort()
+        if normals is None:
+            return points[first]
+        return OrientedCloud(points[first], self._turned(normals[first]).astype(np.float32))
+
+    def _turned(self, vectors: NDArray) -> NDArray:
+        if self.up == "z":
+            return vectors
+        x, y, z = vectors.T
+        return np.stack([x, -z, y], axis=1)
 
     def digest(self, ref: ObjectRef) -> str:
         """SHA-256 of the file's bytes, or of the object's stored numbers in an HDF5 file."""
@@ -85,14 +113,8 @@ class CompleteClouds:
 
     def describe(self) -> dict[str, Any]:
         """What defines the source: where it lies does not, what it lists does."""
-        listing = [(r.split, r.object_id, r.label) for s in SPLITS for r in self.objects(s)]
-        return {
-            "name": "clouds",
-            "frame": self.frame,
-            "up": self.up,
-            "objects": {split: len(self.objects(split)) for split in self.splits()},
-            "listing_sha256": hashlib.sha256(json.dumps(listing).encode()).hexdigest(),
-        }
+        listed = self._store.listing.describe()
+        return {"name": self.name, "frame": self.frame, "up": self.up, **listed}
 
 
 def normalise_cloud(points: NDArray, name: str = "the cloud") -> NDArray[np.float32]:
@@ -113,151 +135,85 @@ def normalise_cloud(points: NDArray, name: str = "the cloud") -> NDArray[np.floa
     return (centred / np.linalg.norm(centred, axis=1).max()).astype(np.float32)
 
 
+def _require_no_padding(points: NDArray, name: str) -> None:
+    zero = ~points.any(axis=1)
+    count = int(zero.sum())
+    if count < 2 or count == len(points):
+        return
+    # Where every point is there several times, zero may be one of them.
+    _, times = np.unique(points[~zero], axis=0, return_counts=True)
+    if count > times.max():
+        raise InputError(
+            f"{name}: {count} of {len(points)} points are (0, 0, 0), as files are padded or say "
+            f"that nothing was measured; remove them"
+        )
+
+
 class _Store(Protocol):
     """Where the clouds lie: what is there, and one object's numbers as stored and as points."""
 
-    class_names: tuple[str, ...]
-    refs: dict[str, list[ObjectRef]]
-    rejected: list[RejectedObject]
+    listing: Listing
 
-    def points(self, ref: ObjectRef) -> NDArray[np.float64]: ...
+    def cloud(self, ref: ObjectRef) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]: ...
 
     def stored(self, ref: ObjectRef) -> bytes: ...
 
 
-class _FolderStore:
-    """A folder of one file an object; object ids are "<class>/<file without suffix>"."""
+def _store(path: Path) -> _Store:
+    if is_ply_hdf5(path):
+        return PlyHdf5Store(path)
+    if any("mask" in fields_of(file) for file in hdf5_files(path)):
+        raise InputError(
+            f"{path} is ScanObjectNN's: parts of objects as they were scanned, whose poses nobody "
+            f"knows. They are no complete clouds to render; make the data set of them as they are "
+            f"with 'partialbench import scanobjectnn {path} --out DIR'"
+        )
+    if path.is_dir() or zipfile.is_zipfile(path):
+        return _FileStore(open_files(path))
+    return HdfStore(path)
 
-    def __init__(self, root: Path) -> None:
-        self.files = Directory(root)
-        self.rejected: list[RejectedObject] = []
+
+def cloud_locations(files: Files) -> list[str]:
+    """The files of a tree that may be clouds, by their names and, where those fit lists and
+    prose too, by how they begin."""
+    return [name for name in files.names() if _may_be_cloud(files, name)]
+
+
+def _may_be_cloud(files: Files, name: str) -> bool:
+    path = PurePosixPath(name)
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        return False
+    if suffix not in _TEXT:
+        return True
+    # A table lies in a class's folder; at the top, and by these names, it may be anything.
+    doubtful = len(path.parts) == 1 or is_list(name) or path.stem.lower() in _PROSE
+    return not doubtful or looks_like_points(files.head(name, _HEAD))
+
+
+class _FileStore:
+    """One file an object."""
+
+    def __init__(self, files: Files) -> None:
+        self.files = files
         self._last: tuple[str, bytes] | None = None
-        names = [n for n in self.files.names() if PurePosixPath(n).suffix.lower() in SUFFIXES]
-        # The preferred format of an object first: the others are then turned away.
-        names.sort(key=lambda n: SUFFIXES.index(PurePosixPath(n).suffix.lower()))
-        found: dict[tuple[str, str], tuple[str, str]] = {}
-        for location in names:
-            *folders, _ = location.split("/")
-            object_id = f"{folders[0]}/{PurePosixPath(location).stem}" if folders else location
-            if len(folders) == 1:
-                split = split_of(object_id)
-            elif len(folders) == 2 and folders[1] in SPLITS:
-                split = folders[1]
-            else:
-                self._reject(object_id, "", f"does not lie as {LAYOUT}", location)
-                continue
-            if (split, object_id) in found:
-                self._reject(object_id, split, "another file gives this object", location)
-                continue
-            found[split, object_id] = folders[0], location
-        if not found:
+        locations = cloud_locations(files)
+        found = list_tree(files, locations, FORMATS)
+        if found is None:
             raise InputError(
-                f"{root} holds no clouds: looked for {', '.join(SUFFIXES)} as {LAYOUT}, found "
-                f"{len(names)} files of these formats elsewhere"
+                f"{files} holds no clouds: looked for {', '.join(FORMATS)} as {EXPECTED}, found "
+                f"{len(locations)} files of these formats elsewhere"
             )
-        present = sorted({category for category, _ in found.values()})
-        known = set(present) <= set(MODELNET40)
-        self.class_names: tuple[str, ...] = MODELNET40 if known else tuple(present)
-        self.refs: dict[str, list[ObjectRef]] = {split: [] for split in SPLITS}
-        for (split, object_id), (category, location) in sorted(found.items()):
-            label = self.class_names.index(category)
-            self.refs[split].append(ObjectRef(object_id, label, split, location))
-
-    def _reject(self, object_id: str, split: str, reason: str, location: str) -> None:
-        self.rejected.append(RejectedObject(object_id, split, reason, location))
+        self.listing = found
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_last": None}
 
-    def points(self, ref: ObjectRef) -> NDArray[np.float64]:
-        return read_cloud(self.stored(ref), ref.location)
+    def cloud(self, ref: ObjectRef) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        return read_oriented(self.stored(ref), printable(ref.location))
 
     def stored(self, ref: ObjectRef) -> bytes:
         # A build asks for the digest and the cloud of an object one after the other.
         if self._last is None or self._last[0] != ref.location:
             self._last = ref.location, self.files.read(ref.location)
         return self._last[1]
-
-
-class _HdfStore:
-    """An HDF5 file; each process opens its own handle, so a copy survives a fork or a pickle."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.rejected: list[RejectedObject] = []
-        self._opened: tuple[int, h5py.File] | None = None
-        self._last: tuple[ObjectRef, NDArray] | None = None
-        file = self._file()
-        if "class_names" not in file or not any(split in file for split in SPLITS):
-            raise InputError(
-                f"{path} has {', '.join(file) or 'nothing'}; expected class_names and the groups "
-                f"{' and '.join(SPLITS)}"
-            )
-        self.class_names: tuple[str, ...] = tuple(file["class_names"].asstr()[()])
-        encoding = file.attrs.get("points_encoding", ENCODING)
-        if encoding != ENCODING:
-            raise InputError(f"{path} encodes points as {encoding!r}, expected {ENCODING!r}")
-        self.refs = {split: self._list(file[split], split) for split in SPLITS if split in file}
-
-    def _list(self, group: h5py.Group, split: str) -> list[ObjectRef]:
-        where = f"{self.path}, group {split}"
-        absent = [name for name in ("points", "label", "object_id") if name not in group]
-        if absent:
-            raise InputError(f"{where} lacks {', '.join(absent)}")
-        points = group["points"]
-        if points.ndim != 3 or 3 not in points.shape[1:]:
-            raise InputError(f"{where}: points have shape {points.shape}, expected (M,3,N)")
-        if points.dtype.kind != "f" and points.dtype != np.uint16:
-            raise InputError(f"{where}: points are {points.dtype}, expected floats or uint16 codes")
-        rows = {name: len(group[name]) for name in ("points", "label", "object_id")}
-        if len(set(rows.values())) > 1:
-            raise InputError(f"{where}: the counts differ: {rows}")
-        labels = group["label"][()].astype(np.int64).reshape(-1)
-        wrong = (labels < 0) | (labels >= len(self.class_names))
-        if wrong.any():
-            raise InputError(
-                f"{where}: row {wrong.argmax()} has label {labels[wrong.argmax()]}, but there are "
-                f"{len(self.class_names)} class names"
-            )
-        return [
-            ObjectRef(object_id, int(label), split, f"{split}/{row}")
-            for row, (object_id, label) in enumerate(
-                zip(group["object_id"].asstr()[()], labels, strict=True)
-            )
-        ]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_opened": None, "_last": None}
-
-    def _file(self) -> h5py.File:
-        if self._opened is None or self._opened[0] != os.getpid():
-            try:
-                self._opened = os.getpid(), h5py.File(self.path, "r")
-            except OSError as error:
-                raise InputError(f"{self.path} is not a readable HDF5 file: {error}") from error
-        return self._opened[1]
-
-    def _row(self, ref: ObjectRef) -> NDArray:
-        """The object's numbers as stored."""
-        if self._last is None or self._last[0] != ref:
-            split, _, row = ref.location.partition("/")
-            try:
-                self._last = ref, self._file()[split]["points"][int(row)]
-            except OSError as error:
-                raise InputError(f"{self.path}: {ref.location} is damaged ({error})") from error
-        return self._last[1]
-
-    def stored(self, ref: ObjectRef) -> bytes:
-        row = self._row(ref)
-        return np.ascontiguousarray(row, row.dtype.newbyteorder("<")).tobytes()
-
-    def points(self, ref: ObjectRef) -> NDArray[np.float64]:
-        row = self._row(ref)
-        points = row.astype(np.float64)
-        if row.dtype.kind != "f":
-            if row.max(initial=0) > CODE_MAX:
-                raise InputError(
-                    f"{self.path}: {ref.location} has the code {row.max()}, above {CODE_MAX}"
-                )
-            points = points / CODE_MAX * 2 - 1
-        return points.T if len(points) == 3 else points

@@ -1,23 +1,16 @@
-"""Where the bytes of mesh files lie, a folder or a zip read in place, and a source over either."""
+"""Where the bytes of files lie: a folder, or a zip read in place."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import zipfile
 import zlib
 from os import PathLike
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Protocol
 
-import trimesh
-
-from partialbench.dataset.sources import ObjectRef, RejectedObject
+from partialbench.dataset.names import printable
 from partialbench.errors import InputError
-from renderers.sources.mesh import SUFFIXES, normalise, read_mesh
-
-SPLITS = ("train", "test")
 
 
 class Files(Protocol):
@@ -31,6 +24,10 @@ class Files(Protocol):
         """One file's content; ``InputError`` where it cannot be read."""
         ...
 
+    def head(self, name: str, size: int) -> bytes:
+        """Its first bytes, ``size`` at most: all that listing reads of a file."""
+        ...
+
 
 class Directory:
     """A folder on disk."""
@@ -39,7 +36,7 @@ class Directory:
         self.root = Path(root)
         if not self.root.is_dir():
             what = "is a file, not a folder" if self.root.exists() else "does not exist"
-            raise InputError(f"{self.root} {what}; expected a folder of meshes")
+            raise InputError(f"{self.root} {what}; expected a folder of meshes or of clouds")
 
     def __str__(self) -> str:
         return str(self.root)
@@ -65,10 +62,16 @@ class Directory:
 
     def read(self, name: str) -> bytes:
         """As ``Files.read``."""
+        return self.head(name, -1)
+
+    def head(self, name: str, size: int) -> bytes:
+        """As ``Files.head``."""
         try:
-            return (self.root / name).read_bytes()
+            with open(self.root / name, "rb") as file:
+                return file.read(size)
         except OSError as error:
-            raise InputError(f"{self.root / name}: cannot be read ({error.strerror})") from error
+            where = printable(str(self.root / name))
+            raise InputError(f"{where}: cannot be read ({error.strerror})") from error
 
 
 class Archive:
@@ -81,7 +84,7 @@ class Archive:
         self.path = Path(path)
         if not self.path.is_file():
             what = "is a folder, not a file" if self.path.exists() else "does not exist"
-            raise InputError(f"{self.path} {what}; expected a zip file of meshes")
+            raise InputError(f"{self.path} {what}; expected a zip file of meshes or of clouds")
         self._opened: tuple[int, zipfile.ZipFile] | None = None
         self._zip()
 
@@ -94,15 +97,22 @@ class Archive:
     def names(self) -> list[str]:
         """As ``Files.names``."""
         return sorted(
-            info.filename
-            for info in self._zip().infolist()
-            if not info.is_dir() and not any(map(_hidden, info.filename.split("/")))
+            {
+                info.filename
+                for info in self._zip().infolist()
+                if not info.is_dir() and not any(map(_hidden, info.filename.split("/")))
+            }
         )
 
     def read(self, name: str) -> bytes:
         """As ``Files.read``."""
+        return self.head(name, -1)
+
+    def head(self, name: str, size: int) -> bytes:
+        """As ``Files.head``."""
         try:
-            return self._zip().read(name)
+            with self._zip().open(name) as member:
+                return member.read(size)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
             raise InputError(f"{self.path}: the member {name} is broken ({error})") from error
         except RuntimeError as error:
@@ -118,100 +128,10 @@ class Archive:
         return self._opened[1]
 
 
-class MeshFiles:
-    """A source over files whose paths say class and split; subclasses say how.
-
-    Attributes: as ``partialbench.dataset.sources.Source``.
-    """
-
-    name = "meshes"
-
-    def __init__(self, files: Files, up: str, aligned: bool) -> None:
-        self.files = files
-        self.up = up
-        self.frame = "aligned" if aligned else "original"
-        self.class_names: tuple[str, ...] = ()
-        self.rejected: list[RejectedObject] = []
-        self._objects: dict[str, list[ObjectRef]] = {split: [] for split in SPLITS}
-        self._last: tuple[str, bytes] | None = None
-
-    def _list(self, refs: list[ObjectRef]) -> None:
-        """Take the objects found, in order; of two with one name in a split the first stands."""
-        taken: dict[tuple[str, str], str] = {}
-        for ref in refs:
-            key = ref.split, ref.object_id
-            if key in taken:
-                self.rejected.append(
-                    RejectedObject(
-                        ref.object_id,
-                        ref.split,
-                        "another file gives an object of this name",
-                        ref.location,
-                        {"taken": taken[key]},
-                    )
-                )
-                continue
-            taken[key] = ref.location
-            self._objects[ref.split].append(ref)
-        for split in SPLITS:
-            self._objects[split].sort(key=lambda ref: (ref.label, ref.object_id))
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_last": None}
-
-    def splits(self) -> tuple[str, ...]:
-        """The splits that have objects."""
-        return tuple(split for split in SPLITS if self._objects[split])
-
-    def objects(self, split: str) -> list[ObjectRef]:
-        """The split's objects by label, then by name."""
-        if split not in self._objects:
-            raise InputError(f"no split {split!r}; expected one of {', '.join(SPLITS)}")
-        return list(self._objects[split])
-
-    def load(self, ref: ObjectRef) -> trimesh.Trimesh:
-        """The mesh, z up, in the unit ball; ``InputError`` says what is wrong with the file."""
-        suffix = PurePosixPath(ref.location).suffix
-        content = self._read(ref.location)
-        return normalise(read_mesh(content, suffix, self.up, ref.location), ref.location)
-
-    def digest(self, ref: ObjectRef) -> str:
-        """SHA-256 of the file's bytes; ``InputError`` where they cannot be read."""
-        return hashlib.sha256(self._read(ref.location)).hexdigest()
-
-    def describe(self) -> dict[str, Any]:
-        """What defines the source: where it lies does not, what it lists does."""
-        listing = [
-            (ref.split, ref.object_id, ref.label, PurePosixPath(ref.location).suffix.lower())
-            for split in SPLITS
-            for ref in self._objects[split]
-        ]
-        return {
-            "name": self.name,
-            "frame": self.frame,
-            "up": self.up,
-            "objects": {split: len(self._objects[split]) for split in self.splits()},
-            "listing_sha256": hashlib.sha256(json.dumps(listing).encode()).hexdigest(),
-        }
-
-    def _read(self, location: str) -> bytes:
-        # A build asks for the digest and the mesh of an object one after the other.
-        if self._last is None or self._last[0] != location:
-            self._last = location, self.files.read(location)
-        return self._last[1]
-
-
-def is_mesh(name: str) -> bool:
-    """Whether a file's suffix is one of a mesh format."""
-    return PurePosixPath(name).suffix.lower() in SUFFIXES
-
-
-def no_meshes(files: Files, found: int, suffixes: tuple[str, ...], layout: str) -> InputError:
-    """The error for a tree without meshes."""
-    return InputError(
-        f"{files} holds no meshes: looked for {', '.join(suffixes)} as {layout} among {found} files"
-    )
-
-
 def _hidden(part: str) -> bool:
     return part.startswith(".") or part == "__MACOSX"
+
+
+def open_files(root: str | PathLike[str]) -> Files:
+    """The tree at a path: a zip where it is a file, else a folder."""
+    return Archive(root) if Path(root).is_file() else Directory(root)

@@ -9,16 +9,17 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from partialbench import registry
-from partialbench.dataset.categories import MODELNET40
+from partialbench.dataset.cloud_files import FORMATS
+from partialbench.dataset.ply import header_is_whole, is_mesh
 from partialbench.dataset.sources import Source
 from partialbench.errors import InputError
-from renderers.sources.files import SPLITS, Archive, Directory, Files, is_mesh
+from renderers.sources.files import Archive, Directory, Files
 from renderers.sources.mesh import SUFFIXES
+from renderers.sources.ply_hdf5 import SUFFIXES as HDF5
 from renderers.sources.scannet.filters import Rules
 
 CLOUDS = "renderers.sources.clouds:CompleteClouds"
-CLOUD_SUFFIXES = (".h5", ".hdf5")
-CLOUD_FILE_SUFFIXES = (".pcd", ".xyz", ".txt", ".npy")
+MESHES = "renderers.sources.folder:MeshFolder"
 
 
 def open_source(
@@ -26,9 +27,8 @@ def open_source(
 ) -> Source:
     """The source behind a registered name or a path.
 
-    A path may be a folder or a zip in ModelNet40's tree (only OFF files, all in ModelNet40's
-    classes and splits), any other folder or zip of meshes, a folder of complete clouds (PLY without
-    faces, PCD, XYZ, TXT, NPY), or an HDF5 file of them.
+    A path may be a folder or a zip of meshes, one of complete clouds (PLY without faces, PCD,
+    XYZ, PTS, TXT, CSV, NPY, NPZ), an HDF5 file of them, or the folder of a release in HDF5.
 
     Args:
         path_or_name: a name of ``registry.SOURCES`` or a path; a name wins over a path of the same
@@ -50,57 +50,56 @@ def open_source(
         raise InputError(f"{text!r} is neither a path that exists nor the name of a source{near}")
     suffix = path.suffix.lower()
     if path.is_dir():
-        files = Directory(path)
-        entry = CLOUDS if _holds_clouds(files) else _layout(files, "modelnet40")
-    elif suffix in CLOUD_SUFFIXES:
+        entry = _entry(Directory(path))
+    elif suffix in HDF5:
         entry = CLOUDS
-    elif zipfile.is_zipfile(path):
-        entry = _layout(Archive(path), "modelnet40-zip")
+    elif zipfile.is_zipfile(path) and suffix not in FORMATS:
+        entry = _entry(Archive(path))
     elif suffix == ".zip":
         raise InputError(f"{path} is not a readable zip file: it is damaged or was cut short")
-    elif suffix in SUFFIXES:
+    elif suffix in (*SUFFIXES, *FORMATS):
+        what = "mesh" if suffix in SUFFIXES else "cloud"
         raise InputError(
-            f"{path} is a single mesh; put it as <class>/{path.name} and give the folder above"
+            f"{path} is a single {what}; put it as <class>/{path.name} and give the folder above"
         )
     else:
         raise InputError(
             f"{path} is no source: expected a folder or a .zip of meshes "
-            f"({', '.join(SUFFIXES)}) or an HDF5 file of clouds ({', '.join(CLOUD_SUFFIXES)})"
+            f"({', '.join(SUFFIXES)}) or of clouds ({', '.join(FORMATS)}), or an HDF5 file of "
+            f"clouds ({', '.join(HDF5)})"
         )
     return _make(entry, text, {_first_parameter(entry): path, **options}, described)
 
 
-def _holds_clouds(files: Files) -> bool:
-    """Whether a folder is one of clouds: none of its meshes has a face, and there are clouds.
+def _entry(files: Files) -> str:
+    """The entry of the source that reads this tree: meshes, if there is one, else clouds.
 
-    PLY is written for both: a header without faces tells a cloud.
+    PLY is written for both: the faces that a header counts tell. HDF5 files are clouds.
     """
-    found = False
+    plys = []
+    other_clouds = False
     for name in files.names():
         suffix = PurePosixPath(name).suffix.lower()
         if suffix == ".ply":
-            header = files.read(name)[:4096].partition(b"end_header")[0]
-            if b"element face" in header:
-                return False
-            found = True
-        elif is_mesh(name):
-            return False
-        elif suffix in CLOUD_FILE_SUFFIXES:
-            found = True
-    return found
+            plys.append(name)
+        elif suffix in SUFFIXES:
+            return MESHES
+        else:
+            other_clouds |= suffix in (*FORMATS, *HDF5)
+    if any(_has_faces(files, name) for name in plys):
+        return MESHES
+    return CLOUDS if plys or other_clouds else MESHES
 
 
-def _layout(files: Files, modelnet: str) -> str:
-    """The entry of the source that reads this tree of meshes."""
-    meshes = [PurePosixPath(name) for name in files.names() if is_mesh(name)]
-    as_published = meshes and all(
-        len(path.parts) >= 3
-        and path.suffix.lower() == ".off"
-        and path.parts[-3] in MODELNET40
-        and path.parts[-2] in SPLITS
-        for path in meshes
-    )
-    return registry.SOURCES[modelnet if as_published else "folder"]
+def _has_faces(files: Files, name: str) -> bool:
+    """Whether a PLY is a mesh; one without a header is left to the reader of clouds."""
+    size = 4096
+    while not header_is_whole(head := files.head(name, size)) and len(head) == size:
+        size *= 4
+    try:
+        return is_mesh(head)
+    except InputError:
+        return False
 
 
 def _first_parameter(entry: str) -> str:

@@ -84,7 +84,9 @@ def test_each_cloud_is_told_its_own_pose_whatever_the_batches():
     clouds = MemoryClouds()
     given = given_pose.rotations("30", clouds, ROWS)
     whole, parts = (
-        evaluate.predict_rows(Reads(), clouds, ROWS, clouds.class_names, batch_size=size, given=given)
+        evaluate.predict_rows(
+            Reads(), clouds, ROWS, clouds.class_names, batch_size=size, given=given
+        )
         for size in (24, 7)
     )
     np.testing.assert_array_equal(whole.predicted, given[:, 0].argmax(1))

@@ -128,7 +128,9 @@ def test_classes_are_matched_by_name_with_and_without_the_other_outputs():
     labels = [0, 0, 1, 2]  # sofa, sofa, lamp, bed
     logits = [[0, 5, 4], [0, 1, 5], [9, 0, 0], [5, 0, 1]]  # says chair, sofa, bed, bed
     shared = [[2], [2], [0], [0]]  # sofa before bed, and so on
-    scores = metrics.scores(make(labels, logits, shared=shared), ["bed", "chair", "sofa"], ["sofa", "lamp", "bed"])
+    scores = metrics.scores(
+        make(labels, logits, shared=shared), ["bed", "chair", "sofa"], ["sofa", "lamp", "bed"]
+    )
     assert scores["clouds"] == 3  # the lamp is left out
     assert scores["accuracy"] == pytest.approx(2 / 3)
     assert scores["restricted_accuracy"] == 1.0  # chair is not a class of the test data

@@ -57,8 +57,8 @@ def test_a_record_says_what_made_it(done, data):
     assert record.training["clouds_seen"] == 64
     assert record.deviations
     assert record.seed == 0
-    log = next((folder / "runs").glob("*seed0")) / "log.csv"
-    assert len(log.read_text().splitlines()) == 2
+    log = next((folder / "runs").glob("*seed0/branch-64/log.csv"))
+    assert len(log.read_text().splitlines()) == 3  # the trunk and its branch, a step each
 
 
 def test_scores_are_those_of_the_stored_predictions(done):
@@ -79,7 +79,7 @@ def test_another_data_set_is_scored_on_the_shared_classes(done):
 
 def test_a_field_of_the_protocol_may_be_called_as_an_argument_is(data, tmp_path):
     """The command line takes any field, "recipe" too, and refuses what is none."""
-    fields = {"recipe": "short", "num_points": 64}
+    fields = {"recipe": "published", "num_points": 64}
     command = [
         "eval", "--model", f"{MODELS}:Posed", "--data", str(data), "--preset", "smoke",
         "--device", "cpu", "--results", str(tmp_path),
@@ -90,7 +90,7 @@ def test_a_field_of_the_protocol_may_be_called_as_an_argument_is(data, tmp_path)
     assert ran.exit_code == 0, ran.output
     (record,) = results.read_folder(tmp_path)
     assert {name: record.protocol[name] for name in fields} == fields
-    assert record.recipe["schedule"] == "one-cycle"
+    assert record.recipe["schedule"] == "constant"
     for name in ("seeds", "preset"):
         with pytest.raises(InputError, match=f"the protocol has no field '{name}'"):
             run_eval(f"{MODELS}:Posed", data, device="cpu", protocol={name: 1})
@@ -167,9 +167,7 @@ def test_resuming_a_finished_evaluation_changes_no_prediction(done, data, other)
     written, folder = done
     weights = sorted((folder / "runs").glob("*/branch-*/checkpoint.pt"))
     before = [w.read_bytes() for w in weights]
-    again = run_eval(
-        f"{MODELS}:Posed", data, other, seeds=2, results_folder=folder, resume=True, **SMALL
-    )
+    again = run_eval(f"{MODELS}:Posed", data, other, seeds=2, results_folder=folder, **SMALL)
     assert [w.read_bytes() for w in weights] == before
     assert [r.predictions_sha256 for r in again] == [r.predictions_sha256 for r in written]
 
@@ -194,16 +192,19 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"seeds": 0}, "seeds must be at least 1, got 0"),
         ({"device": "gpu"}, "device must be auto, cpu, cuda"),
         ({"preset": "papr"}, "did you mean paper"),
-        ({"epoch": 1}, "did you mean epochs"),
+        ({"rotations": 1}, "did you mean rotation"),
         ({"recipe": {"learning_rate": 1}}, "a recipe has no field 'learning_rate'"),
         ({"num_points": 4096}, "4096 were asked for"),
         ({"data": None}, "nothing to train on"),
-        ({"checkpoint_file": "no.pt"}, "--protocol would have no effect"),
+        ({"checkpoint_file": "no.pt"}, "--protocol, --clouds would have no effect"),
         ({"checkpoint_every": 0}, "checkpoint_every must be at least 1 step, got 0"),
         ({"recipe": {"batch_size": 200}, "max_train_clouds": 1}, "batches of 2 clouds or more"),
         ({"options": {"widht": 8}}, "no option 'widht'; did you mean width"),
         ({"precision": "32-false"}, "precision '32-false'"),
-        ({"recipe": {"epochs": 4}, "epochs": 2}, "epochs=4 .* would have no effect"),
+        ({"recipe": {"epochs": 4}}, "epochs=4 does not go with"),
+        ({"clouds": ["1OOk"]}, "such as 25000, 100k or 1M, got '1OOk'"),
+        ({"clouds": [31]}, "31 clouds are less than one batch of 32"),
+        ({"preset": "paper", "clouds": [64, 128]}, "published recipes have one schedule"),
     ],
 )
 def test_wrong_arguments_are_named(data, tmp_path, arguments, message):
@@ -289,10 +290,10 @@ def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(
     write("mean")
     (before,) = train()
     assert before.model_code == hashlib.sha256(Path("edited_model.py").read_bytes()).hexdigest()
-    assert train(resume=True)[0].model_code == before.model_code
+    assert train()[0].model_code == before.model_code
     write("sum")
     with pytest.raises(ConfigurationMismatchError, match="model_code"):
-        train(resume=True)
+        train()
     path = next(Path("out/runs").glob("*/branch-*/checkpoint.pt"))
     with pytest.raises(InputError, match="has changed since"):
         run_eval("edited_model:Mine", data, checkpoint_file=path, results_folder="out")

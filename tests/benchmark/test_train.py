@@ -21,14 +21,15 @@ from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.run import make_task
 from partialbench.benchmark.training import checkpoint
-from partialbench.benchmark.training.train import DivergedError, WithLoss, train
+from partialbench.benchmark.training.loop import DivergedError, WithLoss
+from partialbench.benchmark.training.train import train
 from partialbench.errors import ConfigurationMismatchError, InputError
 from partialbench.registry import Recipe
 from tests.benchmark.memory_clouds import MemoryClouds
 from tests.benchmark.tiny_models import Interrupted, Penalised
 
 MODELS = "tests.benchmark.tiny_models"
-PROTOCOL = Protocol("test", num_points=64, epochs=3)
+PROTOCOL = Protocol("paper+", num_points=64, recipe="published")
 RECIPE = Recipe(
     lr=0.01, batch_size=16, clip_norm=10.0, schedule="plateau", epochs=3, label_smoothing=0.1,
     schedule_options={"factor": 0.5, "patience": 1,
@@ -44,16 +45,19 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def run(
-    folder: Path, model="Bare", protocol=PROTOCOL, recipe=RECIPE, seed=0, clouds=None, **kwargs
-):
+def run(folder: Path, model="Bare", recipe=RECIPE, seed=0, data=None, clouds=10**6, **kwargs):
+    """To the end of the recipe."""
     fabric = Fabric(accelerator="cpu", devices=1)
-    task = make_task(f"{MODELS}:{model}", clouds or MemoryClouds(), protocol, recipe, seed, {})
-    return train(task, fabric, folder, **kwargs)
+    task = make_task(f"{MODELS}:{model}", data or MemoryClouds(), PROTOCOL, recipe, seed, {})
+    return train(task, fabric, folder, clouds, **kwargs)
+
+
+def finished(folder: Path) -> Path:
+    return folder / "branch-1M" / "checkpoint.pt"
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:
-    return checkpoint.load(folder / "checkpoint.pt")["state"]
+    return checkpoint.load(finished(folder))["state"]
 
 
 def same(a, b) -> bool:
@@ -61,9 +65,8 @@ def same(a, b) -> bool:
 
 
 def test_it_learns_a_problem_that_rotations_do_not_hide(tmp_path):
-    protocol = Protocol("test", num_points=64, epochs=30)
     recipe = Recipe(lr=0.01, batch_size=16, epochs=30, schedule="one-cycle")
-    trained = run(tmp_path, protocol=protocol, recipe=recipe, clouds=MemoryClouds(objects=60))
+    trained = run(tmp_path, recipe=recipe, data=MemoryClouds(objects=60))
     assert trained.history[-1]["train_loss"] < 0.7 * trained.history[0]["train_loss"]
     assert trained.history[-1]["validation_accuracy"] > 0.75
     assert not trained.model.training
@@ -78,28 +81,29 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path):
 
 # A rate so high that the loss rises again, and "plateau" has cuts to remember.
 RESTLESS = dataclasses.replace(RECIPE, lr=0.3, epochs=12)
-TWELVE = dataclasses.replace(PROTOCOL, epochs=12)
 
 
 @pytest.mark.parametrize("stop_at", [2, 7, 15, 48, 60])
 def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, monkeypatch, stop_at):
     """Six batches an epoch, saved every two: stops before the first save, at and off epoch ends."""
     monkeypatch.setattr(Interrupted, "stop_at", None)
-    asked = {"model": "Interrupted", "protocol": TWELVE, "recipe": RESTLESS}
+    asked = {"model": "Interrupted", "recipe": RESTLESS}
     whole = run(tmp_path / "whole", **asked)
     assert len({row["lr"] for row in whole.history}) > 1
     monkeypatch.setattr(Interrupted, "taken", 0)
     monkeypatch.setattr(Interrupted, "stop_at", stop_at)
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "cut", checkpoint_every=2, **asked)
-    left = tmp_path / "cut" / "checkpoint.pt"
+    left = finished(tmp_path / "cut")
     if stop_at == 2:
         assert not left.exists()
     else:
         saved = checkpoint.load(left)
-        assert saved["epoch"] * 6 + saved["batch"] == (stop_at - 1) // 2 * 2
+        assert saved["step"] == (stop_at - 1) // 2 * 2
+        with pytest.raises(InputError, match=r"interrupted branch at .* of its 1,000,000"):
+            checkpoint.require_finished(saved, left, "be tested")
     torch.manual_seed(99)  # whatever happened in between
-    resumed = run(tmp_path / "cut", resume=True, checkpoint_every=2, **asked)
+    resumed = run(tmp_path / "cut", checkpoint_every=2, **asked)
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
     for a, b in zip(whole.history, resumed.history, strict=True):
         assert a["train_loss"] == pytest.approx(b["train_loss"], rel=1e-12)
@@ -108,17 +112,17 @@ def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, monkeypatc
 
 
 def test_a_training_names_every_machine_that_carried_a_part_of_it(tmp_path, monkeypatch):
-    asked = {"model": "Interrupted", "protocol": TWELVE, "recipe": RESTLESS}
+    asked = {"model": "Interrupted", "recipe": RESTLESS}
     monkeypatch.setattr(Interrupted, "taken", 0)
     parts = ("one", 15), ("other", 45), ("one", None)
     for machine, stop_at in parts:
         monkeypatch.setattr(environment, "describe", lambda *_, name=machine: {"device": name})
         monkeypatch.setattr(Interrupted, "stop_at", stop_at)
         if stop_at is None:
-            summary = run(tmp_path, resume=True, **asked).summary
+            summary = run(tmp_path, checkpoint_every=6, **asked).summary
         else:
             with pytest.raises(KeyboardInterrupt):
-                run(tmp_path, resume=True, **asked)
+                run(tmp_path, checkpoint_every=6, **asked)
     assert summary["environment"] == {"device": "one"}
     assert summary["earlier_environments"] == [{"device": "other"}]
 
@@ -129,9 +133,9 @@ def test_a_training_of_one_piece_names_one_machine(tmp_path):
 
 def test_resuming_a_finished_training_trains_nothing(tmp_path):
     first = run(tmp_path)
-    before = (tmp_path / "checkpoint.pt").read_bytes()
-    again = run(tmp_path, resume=True)
-    assert (tmp_path / "checkpoint.pt").read_bytes() == before
+    before = finished(tmp_path).read_bytes()
+    again = run(tmp_path)
+    assert finished(tmp_path).read_bytes() == before
     assert again.summary == first.summary
     assert same(again.model.state_dict(), first.model.state_dict())
 
@@ -141,20 +145,20 @@ def test_resuming_a_finished_training_trains_nothing(tmp_path):
     [
         ({"seed": 1}, "seed"),
         ({"recipe": Recipe(lr=0.5)}, "recipe"),
-        ({"protocol": Protocol("test", num_points=64, epochs=4)}, "protocol"),
-        ({"clouds": MemoryClouds(seed=7)}, "train_data"),
+        ({"model": "NoNorm"}, "model"),
+        ({"data": MemoryClouds(seed=7)}, "train_data"),
     ],
 )
 def test_another_trainings_checkpoint_is_refused(tmp_path, change, named):
     run(tmp_path)
     with pytest.raises(ConfigurationMismatchError, match=named):
-        run(tmp_path, resume=True, **change)
+        run(tmp_path, **change)
 
 
 def test_a_loss_that_is_not_a_number_ends_training_early_and_saves_nothing(tmp_path):
-    with pytest.raises(DivergedError, match=r"became nan in epoch 0.*lr \(now 0.01\)"):
+    with pytest.raises(DivergedError, match=r"became nan within 10 steps before .*lr \(now 0.01\)"):
         run(tmp_path, "Broken")
-    assert not (tmp_path / "checkpoint.pt").exists()
+    assert not finished(tmp_path).exists()
 
 
 @pytest.mark.parametrize(
@@ -172,9 +176,8 @@ def test_a_users_mistake_is_named(tmp_path, model, message):
 
 def test_the_log_has_a_row_an_epoch(tmp_path):
     trained = run(tmp_path)
-    with open(tmp_path / "log.csv", newline="") as file:
+    with open(finished(tmp_path).with_name("log.csv"), newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["epoch"]) for row in rows] == [0, 1, 2]
     assert [int(row["clouds_seen"]) for row in rows] == [96, 192, 288]
     assert float(rows[-1]["train_loss"]) == trained.history[-1]["train_loss"]
     assert trained.summary["steps"] == 18
@@ -183,7 +186,7 @@ def test_the_log_has_a_row_an_epoch(tmp_path):
 
 def test_a_checkpoint_loads_without_running_code_and_a_stranger_does_not(tmp_path):
     run(tmp_path)
-    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    content = torch.load(finished(tmp_path), weights_only=True)
     assert content["class_names"] == ["bottle", "chair", "table"]
     assert content["num_points"] == 64
     assert "optimizer" not in content  # a finished one holds weights alone
@@ -195,7 +198,7 @@ def test_a_checkpoint_loads_without_running_code_and_a_stranger_does_not(tmp_pat
     with pytest.raises(InputError, match="not written by partialbench eval"):
         checkpoint.load(tmp_path / "other.pt")
     torch.save(Path("x"), tmp_path / "code.pt")
-    (tmp_path / "cut.pt").write_bytes((tmp_path / "checkpoint.pt").read_bytes()[:500])
+    (tmp_path / "cut.pt").write_bytes(finished(tmp_path).read_bytes()[:500])
     for name in ("code.pt", "cut.pt"):
         with pytest.raises(InputError, match="not a checkpoint that loads safely"):
             checkpoint.load(tmp_path / name)
@@ -206,8 +209,7 @@ import sys, torch
 torch.set_num_threads(1)
 from pathlib import Path
 from tests.benchmark import test_train
-test_train.run(Path(sys.argv[1]), "Slow", protocol=test_train.PROTOCOL, resume=True,
-               checkpoint_every=2)
+test_train.run(Path(sys.argv[1]), "Slow", checkpoint_every=2)
 """
 
 
@@ -218,7 +220,7 @@ def test_training_killed_three_times_ends_with_the_same_weights(tmp_path):
     command = [sys.executable, "-c", SCRIPT]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     subprocess.run([*command, str(tmp_path / "whole")], cwd=root, env=environment, check=True)
-    path = tmp_path / "cut" / "checkpoint.pt"
+    path = finished(tmp_path / "cut")
     for _ in range(3):
         process = subprocess.Popen([*command, str(tmp_path / "cut")], cwd=root, env=environment)
         before = path.stat().st_mtime_ns if path.exists() else 0
@@ -260,7 +262,7 @@ def test_two_processes_train_the_same_model_as_one(tmp_path, model):
               "--master-port", "0", "--standalone", str(script), str(tmp_path / "two")]  # fmt: skip
     for command in (single, double):
         subprocess.run(command, cwd=root, env=environment, check=True, timeout=300)
-    one, two = (checkpoint.load(tmp_path / n / "checkpoint.pt") for n in ("one", "two"))
+    one, two = (checkpoint.load(finished(tmp_path / n)) for n in ("one", "two"))
     for name, tensor in one["state"].items():
         assert torch.allclose(tensor, two["state"][name], atol=1e-5), name
     for a, b in zip(one["history"], two["history"], strict=True):
@@ -277,5 +279,5 @@ from tests.benchmark import test_train
 fabric = make_fabric("cpu", "32-true")
 task = make_task("tests.benchmark.tiny_models:MODEL", test_train.MemoryClouds(),
                  test_train.PROTOCOL, test_train.RECIPE, 0, {})
-train(task, fabric, Path(sys.argv[1]))
+train(task, fabric, Path(sys.argv[1]), 10**6)
 """

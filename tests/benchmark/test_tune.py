@@ -20,7 +20,7 @@ from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import data_folder
 
 MODEL = "tests.benchmark.tiny_models:Bare"
-SHORT = {"num_points": 32, "epochs": 3}
+SHORT = {"num_points": 32, "warm_up": 0}
 TRIES = [{"lr": 1e-7}, {}, {"lr": 0.01, "batch_size": 16}]
 
 
@@ -36,7 +36,9 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def done(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
-    found = tune(MODEL, data, TRIES, "mini", device="cpu", results_folder=folder, protocol=SHORT)
+    found = tune(
+        MODEL, data, TRIES, "board", device="cpu", results_folder=folder, clouds=200, protocol=SHORT
+    )
     return found, folder
 
 
@@ -46,9 +48,9 @@ def test_the_best_comes_first_and_each_is_what_its_own_training_ended_with(done)
     assert scores == sorted(scores, reverse=True)
     for trial in found:
         (log,) = [
-            path for path in folder.glob("runs/*/log.csv")
-            if ("lr" in trial.recipe) == ("lr" in path.parent.name)
-            and ("batch" in trial.recipe) == ("batch" in path.parent.name)
+            path for path in folder.glob("runs/*/branch-200/log.csv")
+            if ("lr" in trial.recipe) == ("lr" in path.parts[-3])
+            and ("batch" in trial.recipe) == ("batch" in path.parts[-3])
         ]  # fmt: skip
         last = list(csv.DictReader(log.open()))[-1]
         assert float(last["validation_accuracy"]) == trial.validation_accuracy
@@ -60,29 +62,30 @@ def test_trials_are_recorded_once_and_not_repeated(done, data):
     written = (folder / FILE).read_bytes()
     assert sorted(read_trials(folder / FILE), key=repr) == sorted(found, key=repr)
     for run in (folder / "runs").iterdir():  # a repeated training would write its log again
-        (run / "log.csv").unlink()
-    again = tune(MODEL, data, TRIES, "mini", device="cpu", results_folder=folder, protocol=SHORT)
+        (run / "branch-200" / "log.csv").unlink()
+    again = tune(
+        MODEL, data, TRIES, "board", device="cpu", results_folder=folder, clouds=200, protocol=SHORT
+    )
     assert again == found
     assert (folder / FILE).read_bytes() == written
-    assert not list((folder / "runs").glob("*/log.csv"))
+    assert not list((folder / "runs").glob("*/*/log.csv"))
 
 
-def test_schedules_of_several_lengths_are_trials_like_others(data, tmp_path):
-    found = tune(
-        MODEL, data, [{"epochs": 1}, {"epochs": 3}], "mini", device="cpu",
-        results_folder=tmp_path, protocol={"num_points": 32},
-    )  # fmt: skip
-    seen = {trial.recipe: trial.clouds_seen for trial in found}
-    assert seen["epochs=3"] == 3 * seen["epochs=1"] > 0
-    assert len({trial.protocol for trial in found}) == 1
+def test_the_same_recipe_at_another_milestone_is_another_trial(data, tmp_path):
+    for clouds in ("100", 200):
+        tune(MODEL, data, [{}], device="cpu", results_folder=tmp_path, clouds=clouds,
+             protocol=SHORT)  # fmt: skip
+    trials = read_trials(tmp_path / FILE)
+    assert {trial.clouds_seen for trial in trials} == {96, 192}  # of 32 a step
+    assert len({trial.protocol for trial in trials}) == 1
 
 
 def test_another_call_adds_to_the_file(done, data, tmp_path):
     found, folder = done
     shutil.copy(folder / FILE, tmp_path)
     more = tune(
-        MODEL, data, [{"lr": 0.003}], "mini", device="cpu", results_folder=tmp_path,
-        protocol=SHORT, options={"width": 8},
+        MODEL, data, [{"lr": 0.003}], "board", device="cpu", results_folder=tmp_path,
+        clouds=100, protocol=SHORT, options={"width": 8},
     )  # fmt: skip
     assert more[0].options == "width=8"
     assert len(read_trials(tmp_path / FILE)) == len(found) + 1
@@ -94,12 +97,7 @@ def test_another_call_adds_to_the_file(done, data, tmp_path):
         ([], {}, "nothing to try"),
         ([{"rate": 0.1}], {}, "a recipe has no field 'rate'"),
         ([{}], {"validation_fraction": 0}, "there is nothing to choose on"),
-        ([{}, {"epochs": 2}], {}, "epochs=2 .* no effect: the protocol has epochs=3"),
-        (
-            [{}, {"epochs": 9}],
-            {"epochs": None, "clouds_seen": 100},
-            "epochs=9 .* cut to 2: .*clouds_seen=100",
-        ),
+        ([{}, {"epochs": 2}], {}, "epochs=2 does not go with .*--clouds"),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(data, tmp_path, tries, protocol, message):
@@ -108,8 +106,9 @@ def test_what_cannot_be_tuned_is_refused(data, tmp_path, tries, protocol, messag
             MODEL,
             data,
             tries,
-            "mini",
+            "board",
             device="cpu",
+            clouds=100,
             results_folder=tmp_path,
             protocol={**SHORT, **protocol},
         )
@@ -120,7 +119,7 @@ def test_the_command_takes_several_fields_a_trial_and_prints_what_it_records(dat
     command = [
         "tune", "--model", MODEL, "--data", str(data), "--results", str(tmp_path),
         "--device", "cpu", "--option", "width=8",
-        "--protocol", "num_points=32", "--protocol", "epochs=1",
+        "--protocol", "num_points=32", "--clouds", "0.1k",
         "--try", "lr=0.01,batch_size=16", "--try", "lr=0.003", "--json",
     ]  # fmt: skip
     ran = CliRunner().invoke(app, command)
@@ -151,8 +150,8 @@ def test_trials_may_begin_from_weights(done, data, tmp_path):
         path for path in done[1].glob("runs/*/branch-*/checkpoint.pt") if "batch" in str(path)
     )
     (trial,) = tune(
-        MODEL, data, [{"lr": 1e-7}], "mini", device="cpu", results_folder=tmp_path,
-        start_from=start, protocol=SHORT,
+        MODEL, data, [{"lr": 1e-7}], "board", device="cpu", results_folder=tmp_path,
+        clouds=100, start_from=start, protocol=SHORT,
     )  # fmt: skip
     assert trial.options.startswith("start=toy:")
     assert trial.recipe == "lr=1e-07"

@@ -146,7 +146,7 @@ def test_a_fixed_camera_may_cut_objects(tmp_path):
                        **SMALL)  # fmt: skip
     manifest = build(plan, InlineExecutor)
     reasons = {f["reason"] for f in manifest.failures}
-    assert reasons <= {"no surface at any pixel centre"}
+    assert reasons <= {"no surface at any pixel centre", "too few points"}
     assert verify(tmp_path, source_of(tmp_path)[0]).sound
 
 

@@ -93,7 +93,7 @@ def set_value(field, row, value):
         ("R_camera_object", np.diag([1.0, 1.0, -1.0]), "not a rotation"),
         ("label", 2, "label is out of range"),
         ("visible_fraction", 1.5, "outside \\[0, 1\\]"),
-        ("n_visible", 0, "n_visible is below 1"),
+        ("n_visible", 0, "n_visible is below the folder's 16"),
         ("symmetry", b"heptagon", "no known group"),
         ("points", 9.0, "outside the unit ball"),
     ],

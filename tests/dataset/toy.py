@@ -61,10 +61,15 @@ class ToySource:
 
 @dataclass
 class ToyOccluder:
-    """Surface samples on faces that look at the camera: exact for convex solids."""
+    """Surface samples on faces that look at the camera: exact for convex solids.
+
+    With ``depth`` a view has an image of that height, one wider, of random numbers.
+    """
 
     samples: int = 400
     reject: bool = False
+    normals: bool = False
+    depth: int = 0
 
     def views(self, shape, poses, rngs):
         seen = []
@@ -76,9 +81,12 @@ class ToyOccluder:
             eye = -R.T @ t
             facing = ((eye - points) * shape.face_normals[faces]).sum(1) > 0
             camera = points[facing] @ R.T + t
+            normals = shape.face_normals[faces][facing] @ R.T
+            image = rng.random((self.depth, self.depth + 1)).astype(np.float32)
             seen.append(
                 View(camera.astype(np.float32), R, t, np.zeros((3, 3)), float(facing.mean()),
-                     int(facing.sum()))
+                     int(facing.sum()), image if self.depth else None,
+                     normals.astype(np.float32) if self.normals else None)
             )  # fmt: skip
         return seen
 

@@ -76,7 +76,10 @@ def test_each_number_of_training_clouds_is_compared_with_its_own(tmp_path):
     small, large = setting_families(make_board(results.read_folder(tmp_path)))
     assert [c.training_clouds for c in small.values()] == [100, 100, 300]
     assert [c.training_clouds for c in large.values()] == [100, 300, 300]
-    assert small["rotated"].title == "pm40-parametric, rotated, board, 100k clouds (100 training clouds)"
+    assert (
+        small["rotated"].title
+        == "pm40-parametric, rotated, board, 100k clouds (100 training clouds)"
+    )
     assert small["partial"].title == "pm40-parametric, partial, board, 100k clouds"
     first, second = layouts(tmp_path)
     assert [row[0] for row in first.rows] == ["ONE", "TWO"]

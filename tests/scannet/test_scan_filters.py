@@ -62,7 +62,6 @@ def test_surfaces_seen_from_behind():
     ("points", "normals", "eye", "reason"),
     [
         (grid(), np.repeat(UP, 400, axis=0), (0, 0, 2), None),
-        (grid(5), np.repeat(UP, 25, axis=0), (0, 0, 2), filters.FEW_POINTS),
         (grid(), np.repeat(UP, 400, axis=0), (0, 0, -2), filters.BACK_FACING),
         (
             np.concatenate([grid(), np.arange(90).reshape(30, 3) + 5.0]),
@@ -76,4 +75,4 @@ def test_each_rule_turns_away_its_own_case(points, normals, eye, reason):
     rejected = judge_view(points, normals, np.array(eye, float), Rules())
     assert (rejected.reason if rejected else None) == reason
     if rejected:
-        assert "minimum" in rejected.details or "maximum" in rejected.details
+        assert "maximum" in rejected.details

@@ -370,7 +370,7 @@ def test_a_view_from_below_is_rejected_by_rule(scannet):
     shape = source.load(source.objects("train")[0])
     flipped = shape.__class__(**{**shape.__dict__, "normals": -shape.normals})
     poses = source.poses(shape, rngs(3))
-    views = ScanHprOccluder(rules=Rules(min_visible=30)).views(flipped, poses, rngs(3))
+    views = ScanHprOccluder().views(flipped, poses, rngs(3))
     assert {v.reason for v in views if isinstance(v, RejectedView)} == {filters.BACK_FACING}
     assert len([v for v in views if isinstance(v, RejectedView)]) == 3
 

@@ -226,16 +226,18 @@ class Ledger:
 
     def _trial(self, job: Job, train: str) -> tuple[object, ...]:
         changes = json.loads(job.recipe)
+        batch = json.loads(self.recipe_of(job))["batch_size"]
         return (
             job.model, describe_changes({}, json.loads(job.options), None, job.precision),
-            describe_changes(changes, {}), job.seed, train, self._protocol.digest, job.clouds,
+            describe_changes(changes, {}), job.seed, train, self._protocol.digest,
+            job.clouds // batch * batch,
         )  # fmt: skip
 
 
 def _of_trial(trial: Trial) -> tuple[object, ...]:
     return (
         trial.model, trial.options, trial.recipe, trial.seed, trial.data, trial.protocol,
-        trial.clouds,
+        trial.clouds_seen,
     )  # fmt: skip
 
 

@@ -24,8 +24,8 @@ from partialbench.benchmark.campaign.status import RUNNING, Status, status
 from partialbench.benchmark.campaign.worker import DIVERGED, DONE, STOPPED, run_in_process
 from partialbench.benchmark.records.results import file_name
 from partialbench.dataset import manifest as manifests
-from partialbench.dataset.build import exclusive
 from partialbench.dataset.executors import dask_cluster
+from partialbench.dataset.lock import sole_user
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import PartialbenchError, TimeLimitError
 
@@ -69,7 +69,7 @@ def run(
     """
     campaign.results.mkdir(parents=True, exist_ok=True)
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
-    with exclusive(campaign.work, "campaign", "give the other file a work folder of its own"):
+    with sole_user(campaign.work):
         if retry_failed:
             job_files.write_failures(campaign.results / FAILURES, [])
         runner = _Runner(campaign, device, only, deadline, say)

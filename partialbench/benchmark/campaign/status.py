@@ -13,6 +13,7 @@ from partialbench.benchmark.campaign.file import Campaign
 from partialbench.benchmark.campaign.jobs import Job, Ledger, all_jobs
 
 RUNNING = "running.json"
+MOST_NOTES = 3
 
 
 @dataclass
@@ -69,7 +70,9 @@ class Status:
         for reason in sorted(set(self.waiting.values())):
             count = sum(why == reason for why in self.waiting.values())
             lines.append(f"waiting    {count} jobs: {reason}")
-        lines += [f"note       {note}" for note in self.notes]
+        lines += [f"note       {note}" for note in self.notes[:MOST_NOTES]]
+        if len(self.notes) > MOST_NOTES:
+            lines.append(f"note       … and {len(self.notes) - MOST_NOTES} more records like these")
         lines.append(
             f"to go      {self.hours:.1f} hours of one core"
             + (f", and {self.without_speed} jobs of unknown speed" if self.without_speed else "")

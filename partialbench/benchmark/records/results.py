@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.records import cards, schema, testsets
 from partialbench.benchmark.records import predictions as prediction_files
 from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.variant import file_name
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
@@ -56,12 +56,6 @@ class DataRecord:
     class_names: list[str]
     points: int
     sensor: str = ""
-
-
-def file_name(*parts: str) -> str:
-    """The parts that are not empty, joined by "_", with what a file name should not hold as "-"."""
-    cleaned = (re.sub(r"[^A-Za-z0-9.=+-]+", "-", part).strip("-") for part in parts)
-    return "_".join(part for part in cleaned if part)
 
 
 def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
@@ -178,7 +172,7 @@ class Result:
     def run_name(self) -> str:
         """File name stem: the same run writes the same file."""
         short = hashlib.sha256(json.dumps(self.identity).encode()).hexdigest()[:8]
-        parts = [self.row[:LONGEST_ROW], self.train_data.id]
+        parts = [self.model, self.variant, self.train_data.id]
         if self.test_data.id != self.train_data.id:
             parts.append(f"on-{self.test_data.id}")
         parts += [f"{name}-{value}" for name, value in self.conditions.items()]

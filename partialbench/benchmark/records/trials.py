@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import fcntl
 import io
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from partialbench.benchmark.records.results import with_changes
 from partialbench.dataset.shards import write_atomically
@@ -24,7 +26,8 @@ class Trial:
             them.
         recipe: what the trial changed about the model's recipe under the protocol, "" for nothing.
         data, protocol: digests. clouds_seen: repeats counted.
-        validation_accuracy: share of validation clouds, after the last epoch.
+        validation_accuracy: share of validation clouds, after the last epoch; None, as the loss,
+            for a trial whose training diverged.
     """
 
     model: str
@@ -34,13 +37,17 @@ class Trial:
     data: str
     protocol: str
     clouds_seen: int
-    train_loss: float
-    validation_accuracy: float
+    train_loss: float | None
+    validation_accuracy: float | None
 
     @property
     def row(self) -> str:
         """The table row it was tried for, whatever its recipe."""
         return with_changes(self.model, self.options)
+
+    @property
+    def diverged(self) -> bool:
+        return self.validation_accuracy is None
 
     @property
     def identity(self) -> tuple[object, ...]:
@@ -59,7 +66,8 @@ def read_trials(path: Path) -> list[Trial]:
     """
     if not path.is_file():
         return []
-    kinds = {f.name: {"int": int, "float": float}.get(str(f.type), str) for f in fields(Trial)}
+    readers: dict[str, Callable[[str], Any]] = {"int": int, "float | None": _number}
+    kinds = {f.name: readers.get(str(f.type), str) for f in fields(Trial)}
     try:
         with open(path, newline="", encoding="utf-8") as file:
             return [
@@ -68,6 +76,11 @@ def read_trials(path: Path) -> list[Trial]:
             ]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path} is not a file of trials: {error!r}") from error
+
+
+def _number(cell: str) -> float | None:
+    """An empty cell is a number there is not."""
+    return float(cell) if cell else None
 
 
 def add_trial(path: Path, trial: Trial) -> None:

@@ -92,11 +92,11 @@ def predict_rows(
     known = _shared(class_names, dataset.class_names)
     parts: list[dict[str, Tensor]] = []
     with unchanged(model):
-        answers = run_model(
-            model, dataset, rows[order], len(class_names), device, batch_size, told
-        )
+        answers = run_model(model, dataset, rows[order], len(class_names), device, batch_size, told)
         for chosen, prediction in answers:
             _require_finite(prediction.class_logits, chosen)
+            if not dataset.has_poses:  # nothing tells whether its poses are right
+                prediction = prediction._replace(pose_logits=None)
             parts.append(_kept(prediction, known, answers_alone))
     back = np.argsort(order)
     kept = {name: torch.cat([part[name] for part in parts]).numpy()[back] for name in parts[0]}

@@ -57,9 +57,7 @@ def run_tests(
             turned = audit.rotation_audit(
                 model, test_set, classes, device, min(audit.AUDIT_CLOUDS, most)
             )
-        found = company.company_audit(
-            model, test_set, classes, device, min(company.COMPANY, most)
-        )
+        found = company.company_audit(model, test_set, classes, device, min(company.COMPANY, most))
         _tell(content["model"], found)
         measured = {"cost": cost, "rotation_audit": turned, "company_audit": found}
         poses = test_poses if test_set.num_points == content["num_points"] else ()

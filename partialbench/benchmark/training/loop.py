@@ -31,6 +31,7 @@ from partialbench.benchmark.testing import audit, duplicates, evaluate
 from partialbench.benchmark.training import finetune
 from partialbench.benchmark.training.batches import BatchStream, Place
 from partialbench.benchmark.training.optimizers import make_optimizer
+from partialbench.benchmark.training.seeds import seed_all
 from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
 
@@ -96,7 +97,7 @@ class Loop:
     def __init__(self, task: Task, fabric: Fabric, plan: Plan) -> None:
         self.task, self.fabric, self.plan = task, fabric, plan
         class_names = list(task.dataset.class_names)
-        torch.manual_seed(step_seed(task.seed, "init"))
+        seed_all(step_seed(task.seed, "init"))
         bare = models.create(task.model, len(class_names), task.options)
         if task.start is not None:
             fresh = finetune.begin(
@@ -201,9 +202,9 @@ class Loop:
 
     def speed(self) -> float | None:
         """Median clouds a second of the log's lines, None before the first."""
-        if not self.history:
-            return None
-        return float(np.median([row["clouds_per_second"] for row in self.history]))
+        speeds = [row["clouds_per_second"] for row in self.history]
+        measured = [speed for speed in speeds if speed is not None]
+        return float(np.median(measured)) if measured else None
 
     def begin_branch(self) -> None:
         """Ends the line of the log that the trunk would have gone on with."""
@@ -219,8 +220,8 @@ class Loop:
         self.network.train()
         self.timed, self.timed_since = 0, time.perf_counter()
         for step, place, batch in self.stream.steps(self.step, until):
-            self.rate = self.schedule.apply(self.optimizer, self.bare, step)
-            torch.manual_seed(step_seed(self.task.seed, "step", *place, self.fabric.global_rank))
+            self.schedule.apply(self.optimizer, self.bare, step)
+            seed_all(step_seed(self.task.seed, "step", *place, self.fabric.global_rank))
             self._take(batch)
             self.step, self.in_interval, self.timed = step + 1, self.in_interval + 1, self.timed + 1
             ends = self.plan.ends_interval(self.step, in_branch=step >= self.plan.branch_at)
@@ -270,14 +271,14 @@ class Loop:
         """Writes a line of the log."""
         self.look()
         self.schedule.end_epoch(self.mean_loss)
-        timed = max(1e-9, time.perf_counter() - self.timed_since)
-        speed = self.timed * self.plan.batch / timed
-        if not self.timed:  # a branch that begins from a saved state: no step was its own
-            speed = self.history[-1]["clouds_per_second"] if self.history else 0.0
+        timed = time.perf_counter() - self.timed_since
+        # A branch that begins from a saved state has taken no step yet.
+        speed = self.timed * self.plan.batch / timed if self.timed else None
         self.history.append(
             {
-                "clouds_seen": self.clouds_seen, "lr": self.rate, "train_loss": self.mean_loss,
-                "validation_accuracy": None, "clouds_per_second": speed,
+                "clouds_seen": self.clouds_seen, "lr": self.optimizer.param_groups[0]["lr"],
+                "train_loss": self.mean_loss, "validation_accuracy": None,
+                "clouds_per_second": speed,
             }
         )  # fmt: skip
         log.info("%s", json.dumps(self.history[-1]))

@@ -112,6 +112,7 @@ def train(
     clouds: int,
     checkpoint_every: int | None = None,
     should_stop: Callable[[], bool] | None = None,
+    silent: bool = False,
 ) -> Trained:
     """Trains to a milestone, going on from what ``folder`` has.
 
@@ -121,6 +122,7 @@ def train(
         clouds: the milestone.
         checkpoint_every: save after every so many steps too, besides every few minutes.
         should_stop: asked after every step.
+        silent: without a progress bar.
 
     Raises:
         DivergedError: NaN or infinite loss.
@@ -161,7 +163,7 @@ def train(
             files.note(loop.speed(), branch=(clouds, loop.clouds_seen))
 
     with (
-        training_bar(Console(stderr=True), silent=not fabric.is_global_zero) as progress,
+        training_bar(Console(stderr=True), silent=silent or not fabric.is_global_zero) as progress,
         _Keeper(fabric, loop, checkpoint_every, should_stop) as keeper,
     ):
         bar = progress.add_task(f"{task.model} {milestones.name(clouds)}", total=plan.steps,
@@ -231,9 +233,10 @@ class _Keeper:
         signal.signal(signal.SIGINT, self.before)
 
     def _wish(self) -> int:
+        time_is_over = self.should_stop is not None and self.should_stop()
         if self.interrupted:
             return self.INTERRUPTED
-        if self.should_stop is not None and self.should_stop():
+        if time_is_over:
             return self.TIME_IS_OVER
         if time.monotonic() - self.saved_at > CHECKPOINT_SECONDS:
             return self.SAVE

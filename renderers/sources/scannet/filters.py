@@ -16,13 +16,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from partialbench.dataset.sources import FEW_POINTS as FEW_POINTS  # instances are judged by it
 from partialbench.dataset.sources import RejectedView
 
 ISOLATED_NEIGHBOUR = 6
 """A point is isolated when its distance to its 6th nearest neighbour is far above the median."""
 ISOLATED_FACTOR = 4.0
 
-FEW_POINTS = "too few points"
 OUTSIDE = "too many outliers: points outside the CAD's box"
 FRAGMENTED = "too many outliers: loose fragments"
 ISOLATED = "too many outliers: isolated points"
@@ -45,7 +45,6 @@ class Rules:
             object says what belongs to it) or in dropped pieces (where the label does).
         min_agreement: at least this share of the labelled points in the box (walls, floor and
             ceiling aside) carries the class's label.
-        min_visible: a view shows at least so many points.
         max_isolated: at most this share of a view's points is isolated.
         max_back_facing: at most this share of a view's points belongs to surface that faces away
             from the camera, which hidden point removal let through.
@@ -57,7 +56,6 @@ class Rules:
     min_points: int = 256
     max_outside: float = 0.3
     min_agreement: float = 0.5
-    min_visible: int = 128
     max_isolated: float = 0.05
     max_back_facing: float = 0.3
 
@@ -106,8 +104,6 @@ def judge_view(
         points, normals: (n,3) what hidden point removal kept, object frame.
         viewpoint: (3,) camera position in the same frame.
     """
-    if len(points) < rules.min_visible:
-        return RejectedView(FEW_POINTS, {"visible": len(points), "minimum": rules.min_visible})
     isolated = isolated_share(points)
     if isolated > rules.max_isolated:
         return RejectedView(ISOLATED, {"share": round(isolated, 4), "maximum": rules.max_isolated})

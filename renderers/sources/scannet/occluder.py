@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.sources import RejectedView, View
 from renderers.hpr import HprOccluder, hidden_point_removal, paper_radius
+from renderers.normals import towards_camera, unit_normals
 from renderers.sources.scannet.filters import Rules, judge_view
 from renderers.sources.scannet.source import ScanInstance
 
@@ -18,7 +19,8 @@ class ScanHprOccluder:
 
     Args:
         gamma, radius: size of HPR's sphere, as ``hpr.HprOccluder`` takes them.
-        rules: thresholds; the views' three are used.
+        rules: thresholds; the views' are used.
+        normals: whether views have the normals of the scan's mesh.
 
     Raises:
         InputError: gamma and radius are both given, or one is out of range.
@@ -29,8 +31,10 @@ class ScanHprOccluder:
         gamma: float | None = None,
         radius: float | None = None,
         rules: Rules | None = None,
+        normals: bool = False,
     ) -> None:
         self.hpr = HprOccluder(gamma, radius)
+        self.normals = normals
         self.rules = rules or Rules()
 
     def views(
@@ -40,13 +44,18 @@ class ScanHprOccluder:
         rngs: list[np.random.Generator],
     ) -> list[View | RejectedView]:
         """One result per pose; hidden point removal draws nothing, ``rngs`` are not used."""
-        return [self._view(shape, np.asarray(R), np.asarray(t)) for R, t in poses]
+        normals = unit_normals(shape.normals, shape.points) if self.normals else None
+        return [self._view(shape, np.asarray(R), np.asarray(t), normals) for R, t in poses]
 
     def describe(self) -> dict[str, Any]:
         """Method, radius and thresholds, as JSON data."""
-        return {**self.hpr.describe(), "name": "scan-hpr", "rules": self.rules.describe()}
+        normals = {"normals": "of the scan's mesh"} if self.normals else {}
+        rules = self.rules.describe()
+        return {**self.hpr.describe(), "name": "scan-hpr", "rules": rules, **normals}
 
-    def _view(self, shape: ScanInstance, R: NDArray, t: NDArray) -> View | RejectedView:
+    def _view(
+        self, shape: ScanInstance, R: NDArray, t: NDArray, normals: NDArray | None
+    ) -> View | RejectedView:
         viewpoint = -R.T @ t
         radius = self.hpr.radius
         if radius is None:
@@ -55,12 +64,14 @@ class ScanHprOccluder:
         points = shape.points[seen].astype(np.float64)
         if rejected := judge_view(points, shape.normals[seen], viewpoint, self.rules):
             return rejected
+        in_camera = (points @ R.T + t).astype(np.float32)
         return View(
-            points=(points @ R.T + t).astype(np.float32),
+            points=in_camera,
             R_camera_object=R,
             t_camera_object=t,
             K=np.zeros((3, 3)),
             visible_fraction=len(seen) / len(shape.points),
             n_visible=len(seen),
+            normals=None if normals is None else towards_camera(normals[seen], in_camera, R),
             symmetry=shape.symmetry,
         )

@@ -1,0 +1,220 @@
+"""Files of a user's own capture, a cloud or a depth image, as points that a model can be given."""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from partialbench.dataset.cloud_files import FORMATS, read_cloud
+from partialbench.errors import InputError
+from partialbench.geometry.camera import Camera
+
+log = logging.getLogger(__name__)
+
+MIN_POINTS = 16
+IMAGES = (".png", ".tif", ".tiff")
+
+MOST_COLUMNS = 16
+"""Of an array of points; a wider one is an image."""
+LEAST_EXTENT, MOST_EXTENT = 1e-5, 1e9
+"""Of an object in whatever unit: models square and add coordinates in 32 bits."""
+LEAST_FLOAT32_STEPS = 1e4
+"""Steps of 32-bit coordinates along the object, below which it is moved before it is rounded."""
+
+
+def captures(folder: Path) -> Iterator[Path]:
+    """The files of a folder that can be read, at any depth, sorted; what is left out is named.
+
+    Raises:
+        InputError: none.
+    """
+    files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
+    read = [path for path in files if path.suffix.lower() in (*FORMATS, *IMAGES)]
+    if not read:
+        raise InputError(f"{folder} holds no file of {', '.join((*FORMATS, *IMAGES))}")
+    if left := [path.name for path in files if path not in set(read)]:
+        shown = ", ".join(left[:5]) + (", …" if len(left) > 5 else "")
+        log.warning("%s: %d of %d files are no cloud and no depth image: %s",
+                    folder, len(left), len(files), shown)  # fmt: skip
+    yield from read
+
+
+def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0) -> NDArray:
+    """The finite points (n,3) of a cloud file or of a depth image (see ``predict.Classifier``).
+
+    Points far from the origin for their extent, as in UTM coordinates, are moved, in double
+    precision, to be centred at (0, 0, 3 radii): in 32 bits they would lie on a coarse grid.
+
+    Raises:
+        InputError: a file that cannot be read, or whose points are no shape: too few distinct ones,
+            all on a line, or of an extent that 32 bits cannot work with.
+    """
+    if not path.is_file():
+        raise InputError(f"no file at {path}")
+    kind = path.suffix.lower()
+    if kind not in (*FORMATS, *IMAGES):
+        raise InputError(
+            f"{path}: {kind or 'a file without suffix'} is not read; give a cloud "
+            f"({', '.join(FORMATS)}) or a depth image ({', '.join(IMAGES)}, .npy)"
+        )
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error}") from error
+    image = _image(content, path, K)
+    if image is not None:
+        points = _from_depth(path, image, K, depth_scale)
+        points = points[np.isfinite(points).all(axis=1)]
+    else:
+        points = read_cloud(content, str(path), drop_unmeasured=True)
+        if kind in (".xyz", ".txt", ".csv", ".pts"):
+            _say_columns(path, _columns_of_text(content))
+    if len(points) < MIN_POINTS:
+        raise InputError(
+            f"{path} has {len(points)} finite points, at least {MIN_POINTS} are needed"
+        )
+    return _shaped(points, path)
+
+
+def _shaped(points: NDArray, path: Path) -> NDArray[np.float64]:
+    """The points, moved where they are too far away for 32 bits; each is still another."""
+    points = np.asarray(points, np.float64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    extent = float((high / 2 - low / 2).max()) * 2  # of halves: a difference could be infinite
+    if extent > MOST_EXTENT:
+        raise InputError(
+            f"{path}: the points extend over {extent:.3g} units; expected one object, of "
+            f"{MOST_EXTENT:g} at most in any unit. Divide them by a constant"
+        )
+    centred = points - (low / 2 + high / 2)
+    distinct = len(np.unique(centred, axis=0))
+    if distinct < MIN_POINTS:
+        raise InputError(
+            f"{path} has {distinct} distinct point{'s' if distinct > 1 else ''} among "
+            f"{len(points)}, at least {MIN_POINTS} are needed"
+        )
+    if extent < LEAST_EXTENT:
+        raise InputError(
+            f"{path}: the points extend over {extent:.3g} units; expected {LEAST_EXTENT:g} or "
+            f"more. Multiply them by a constant, or check that it is one object"
+        )
+    spread = np.linalg.svd((centred - centred.mean(axis=0)) / extent, compute_uv=False)
+    if spread[1] < 1e-6 * spread[0]:
+        raise InputError(f"{path}: all points lie on one line; expected the surface of an object")
+    step = float(np.spacing(np.float32(np.abs(points).max())))
+    if step * LEAST_FLOAT32_STEPS <= extent:
+        return points
+    log.info("%s: moved to the origin before it is rounded to 32 bits", path)
+    radius = float(np.linalg.norm(centred, axis=1).max())
+    return centred + (0.0, 0.0, 3 * radius)
+
+
+def _image(content: bytes, path: Path, K: ArrayLike | None) -> NDArray | None:
+    """What an image file holds, or an array that cannot be points; None for any other file."""
+    kind = path.suffix.lower()
+    if kind not in (*IMAGES, ".npy"):
+        return None
+    try:
+        if kind in IMAGES:
+            from PIL import Image
+
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                with Image.open(io.BytesIO(content)) as image:
+                    if image.mode in ("1", "P"):
+                        what = "two values" if image.mode == "1" else "a palette"
+                        raise InputError(
+                            f"{path} is an image of {what}, not of depths; save the depths "
+                            f"themselves, in 16 bits"
+                        )
+                    return np.asarray(image)
+        array = np.load(io.BytesIO(content), allow_pickle=False)
+    except InputError:
+        raise
+    except Exception as error:  # each library fails in its own ways
+        raise InputError(f"{path} cannot be read: {error}") from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        raise InputError(f"{path} holds no array of real numbers")
+    if not _are_points(array, K):
+        return array
+    _say_columns(path, array.shape[1])
+    return None
+
+
+def _are_points(array: NDArray, K: ArrayLike | None) -> bool:
+    """Whether a 2-D array is of points, a row each, and not a very narrow image.
+
+    Further columns of a cloud are intensity, colours or normals. Intrinsics decide where they can
+    be such an image's, that is where their principal point lies in it.
+    """
+    if array.ndim != 2:
+        return False
+    rows, columns = array.shape
+    if columns == 3:
+        return True
+    if not 4 <= columns <= MOST_COLUMNS or rows <= columns:
+        return False
+    if K is None:
+        return True
+    matrix = np.asarray(K, np.float64)
+    cx, cy = matrix[2:] if matrix.shape == (4,) else matrix[:2, 2]
+    return not (0 <= cx <= columns and 0 <= cy <= rows)
+
+
+def _columns_of_text(content: bytes) -> int:
+    for line in content.decode(errors="replace").splitlines():
+        if numbers := line.partition("#")[0].replace(",", " ").split():
+            return len(numbers)
+    return 0
+
+
+def _say_columns(path: Path, columns: int) -> None:
+    if columns > 3:
+        log.warning("%s: of %d columns the first three are taken for x, y, z", path, columns)
+
+
+def _from_depth(path: Path, image: NDArray, K: ArrayLike | None, scale: float) -> NDArray:
+    if image.ndim != 2:
+        raise InputError(f"{path} has shape {image.shape}; a depth image is one channel (H,W)")
+    if K is None:
+        raise InputError(
+            f"{path} is a depth image of {image.shape[1]}×{image.shape[0]} pixels: its intrinsics "
+            f"are needed (fx, fy, cx, cy in pixels)"
+        )
+    if not scale > 0:
+        raise InputError(f"depth_scale must be positive, got {scale!r}")
+    _require_depths(path, image)
+    matrix = np.asarray(K, np.float64)
+    if matrix.shape == (4,):
+        fx, fy, cx, cy = matrix
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    depth = image.astype(np.float64) * scale
+    depth[~np.isfinite(depth)] = 0
+    try:
+        return Camera(matrix, image.shape[1], image.shape[0]).unproject_depth(depth)
+    except ValueError as error:
+        raise InputError(f"intrinsics {np.asarray(K).tolist()}: {error}") from error
+
+
+def _require_depths(path: Path, image: NDArray) -> None:
+    """Raises ``InputError`` for an image whose values are no depths of an object."""
+    if image.dtype.kind in "iu":
+        most = np.iinfo(image.dtype).max
+        if saturated := int((image == most).sum()):
+            raise InputError(
+                f"{path}: {saturated} of {image.size} pixels have the greatest value of "
+                f"{image.dtype}, {most}: saturated, or a mark for no surface. Set them to 0, "
+                f"which is no surface"
+            )
+    measured = image[np.isfinite(image) & (image > 0)]
+    if len(measured) and (measured == measured[0]).all():
+        raise InputError(
+            f"{path}: all {len(measured)} pixels with a surface have the one depth "
+            f"{measured[0]:g}: a mask, or saturated; expected the depths of an object"
+        )

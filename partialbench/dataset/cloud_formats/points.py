@@ -1,0 +1,103 @@
+"""What every cloud format hands on, and the checks they share."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from partialbench.errors import InputError
+
+XYZ = ("x", "y", "z")
+NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
+"""How files name the columns of a normal."""
+
+WIDEST = 16
+"""Columns of a table from which it is taken to hold a point a column, not a row."""
+
+
+class Points(NamedTuple):
+    """One file's cloud.
+
+    Attributes:
+        points: (n,3) float64, as the file has them, finite or not.
+        normals: (n,3) float64, or None.
+        named: whether the file itself calls them normals; else they are columns 4 to 6, which may
+            be colours.
+    """
+
+    points: NDArray[np.float64]
+    normals: NDArray[np.float64] | None = None
+    named: bool = False
+
+
+def of_table(table: NDArray, where: str = "") -> Points:
+    """A table of points, one a row or one a column: x, y, z first, whatever follows behind.
+
+    A table of 3 or 6 rows and more than ``WIDEST`` columns is turned, one that might be read either
+    way is refused.
+
+    Args:
+        table: (n,c), (c,n) or with leading axes of length 1.
+        where: what the error calls it.
+
+    Raises:
+        InputError: another number of axes, no numbers, or it is not clear which axis is which.
+    """
+    table = np.asarray(table)
+    shape = table.shape
+    if table.dtype.kind not in "fiu":
+        raise InputError(f"{where}holds {table.dtype}, expected an array of real numbers")
+    while table.ndim > 2 and len(table) == 1:
+        table = table[0]
+    if table.ndim != 2 or 0 in table.shape:
+        raise InputError(f"{where}has the shape {shape}; expected one (n,3) cloud with n ≥ 1")
+    rows, columns = table.shape
+    if rows in (3, 6) and columns > WIDEST:
+        table = table.T
+    elif columns > WIDEST >= rows or (columns != 3 and rows in (3, 6) and columns >= 3):
+        raise InputError(
+            f"{where}has the shape {shape}, which may be read either way; save it as (n,3), "
+            f"a point a row"
+        )
+    elif rows == columns == 3:
+        raise InputError(f"{where}has the shape (3, 3): rows and columns cannot be told apart")
+    return of_rows(table, where)
+
+
+def of_rows(table: NDArray, where: str = "") -> Points:
+    """A table (n,c) of one point a row: x, y, z first."""
+    table = np.asarray(table, np.float64)
+    if table.ndim != 2 or table.shape[1] < 3 or len(table) == 0:
+        raise InputError(f"{where}expected an (n,3) cloud with n ≥ 1, got {table.shape}")
+    require_no_index(table, where)
+    normals = table[:, 3:6] if table.shape[1] >= 6 else None
+    return Points(table[:, :3], normals)
+
+
+def require_no_index(table: NDArray, where: str = "") -> None:
+    """Raise ``InputError`` where the first of four or more columns counts the rows."""
+    first = table[:, 0]
+    if table.shape[1] > 3 and len(table) > 3 and first[0] in (0, 1) and (np.diff(first) == 1).all():
+        raise InputError(
+            f"{where}the first column counts the rows from {first[0]:g} on: is it x or a number "
+            f"of the point? Name the columns in a header (id x y z), or remove it"
+        )
+
+
+def unit_normals(points: Points) -> NDArray[np.float64] | None:
+    """The cloud's normals, made unit; None where it has none or a point lacks a direction.
+
+    Columns that no name calls normals are taken for them only if all are unit to rounding: else
+    they are colours.
+    """
+    if points.normals is None:
+        return None
+    length = np.linalg.norm(points.normals, axis=1)
+    good = np.isfinite(length) & (length > 0)
+    if not points.named:
+        good &= np.abs(length - 1) < 0.01
+    if not good.all():
+        return None
+    return points.normals / length[:, None]

@@ -1,0 +1,155 @@
+"""Lists of names beside a tree that hold its official splits: ``modelnet40_train.txt`` and so on."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath
+from typing import Protocol
+
+from partialbench.dataset.cloud_formats.text import decode, looks_like_points
+from partialbench.errors import InputError
+from renderers.sources.layout import Entry, Layout, split_name
+
+_LIST = re.compile(
+    r"(?:(?P<set>.*?)[_\-.])?(?P<split>train|training|test|testing|val|valid|validation)"
+    r"(?:[_\-.](?:file|files|list|lists|split|ids?|objects?|models?|names?))*\.(?:txt|lst|json)",
+    re.IGNORECASE,
+)
+_HEAD = 4096
+
+
+class _Readable(Protocol):
+    def names(self) -> list[str]: ...
+    def read(self, name: str) -> bytes: ...
+    def head(self, name: str, size: int) -> bytes: ...
+
+
+@dataclass
+class _Lists:
+    """The lists of one set ("modelnet40") in one folder, and what they name."""
+
+    folder: str
+    files: list[str] = field(default_factory=list)
+    split_of: dict[str, tuple[str, str]] = field(default_factory=dict)  # location → split, list
+    absent: list[tuple[str, str]] = field(default_factory=list)  # list, name
+
+
+def is_list(name: str) -> bool:
+    """Whether a file's name is that of a list of one split's objects."""
+    return _LIST.fullmatch(PurePosixPath(name).name) is not None
+
+
+def apply_lists(files: _Readable, layout: Layout) -> None:
+    """Give a layout's objects the splits that lists beside them say.
+
+    Only objects that lie in no split's folder are looked for. Of several sets in one folder the one
+    that names most of them is taken. An object that no list names is left out, as is a name that no
+    file gives.
+
+    Raises:
+        InputError: an object in two splits, or a name that fits several objects.
+    """
+    entries = [entry for entry in layout.entries if not entry.split]
+    if not entries:
+        return
+    candidates: dict[tuple[str, str], _Lists] = {}
+    for name in files.names():
+        match = _LIST.fullmatch(PurePosixPath(name).name)
+        if match is None or looks_like_points(files.head(name, _HEAD)):
+            continue
+        folder = str(PurePosixPath(name).parent)
+        key = folder, (match["set"] or "").casefold()
+        lists = candidates.setdefault(key, _Lists("" if folder == "." else f"{folder}/"))
+        _match(lists, name, split_name(match["split"]), files.read(name), entries)
+    best: dict[str, _Lists] = {}
+    for lists in candidates.values():
+        if len(lists.split_of) > len(best[lists.folder].split_of if lists.folder in best else ()):
+            best[lists.folder] = lists
+    if not best:
+        return
+    _use(list(best.values()), layout)
+
+
+def _match(lists: _Lists, name: str, split: str, content: bytes, entries: list[Entry]) -> None:
+    index: dict[str, list[Entry]] = defaultdict(list)
+    for entry in entries:
+        if entry.location.startswith(lists.folder):
+            path = entry.location
+            bare = path[: len(path) - len(PurePosixPath(path).suffix)]
+            own = entry.name
+            for key in {path, bare, f"{entry.category}/{own}", own, str(PurePosixPath(bare).name)}:
+                index[key].append(entry)
+    lists.files.append(name)
+    for line in _names(name, content):
+        found = _find(line, index)
+        if found is None:
+            lists.absent.append((name, line))
+            continue
+        places = {(e.category, e.name) for e in found}
+        if len(places) > 1:
+            said = ", ".join(sorted(f"{c}/{n}" for c, n in places)[:3])
+            raise InputError(f"{name}: {line!r} may be {said}; write the class before it")
+        for entry in found:
+            before, where = lists.split_of.get(entry.location, (split, name))
+            if before != split:
+                raise InputError(
+                    f"{name}: {line!r} is in the split {split!r}, but {where} has it in {before!r}"
+                )
+            lists.split_of[entry.location] = split, name
+
+
+def _names(name: str, content: bytes) -> list[str]:
+    if name.lower().endswith(".json"):
+        try:
+            data = json.loads(content)
+        except ValueError:
+            return []
+        return [item for item in data if isinstance(item, str)] if isinstance(data, list) else []
+    try:
+        lines = decode(content).splitlines()
+    except (InputError, UnicodeDecodeError):
+        return []
+    return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
+
+
+def _find(line: str, index: dict[str, list[Entry]]) -> list[Entry] | None:
+    """The entries of the longest end of a path that is known; with or without its suffix."""
+    for text in (line, re.split(r"[\s,;]", line, maxsplit=1)[0]):
+        parts = text.replace("\\", "/").strip("/").split("/")
+        for at in range(len(parts)):
+            key = "/".join(parts[at:])
+            for form in (key, re.sub(r"\.[^./]+$", "", key)):
+                if form in index:
+                    return index[form]
+    return None
+
+
+def _use(chosen: list[_Lists], layout: Layout) -> None:
+    splits = {place: said for lists in chosen for place, said in lists.split_of.items()}
+    used = sorted(
+        {where for _, where in splits.values()} | {name for c in chosen for name, _ in c.absent}
+    )
+    has_test = any(split == "test" for split, _ in splits.values())
+    entries = []
+    for entry in layout.entries:
+        covered = any(entry.location.startswith(lists.folder) for lists in chosen)
+        if entry.split or not covered:
+            entries.append(entry)
+        elif entry.location in splits:
+            split = splits[entry.location][0]
+            split = split if split != "val" else ("train" if has_test else "test")
+            entries.append(replace(entry, split=split))
+        else:
+            layout.left_out.append((entry.location, f"is in none of {', '.join(used)}"))
+    layout.entries = entries
+    for lists in chosen:
+        for name, line in lists.absent:
+            layout.left_out.append((name, f"names {line!r}, which no file gives"))
+    layout.notes.append(f"splits from {', '.join(used)}")
+    if any(split == "val" for split, _ in splits.values()):
+        layout.notes.append(
+            "validation objects " + ("join the training objects" if has_test else "are the test")
+        )
