@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from leaderboard.build import build_leaderboard
 from partialbench.benchmark.records import predictions as prediction_files
 from partialbench.benchmark.records.results import INDEPENDENT
+from partialbench.benchmark.run import run_eval
 from partialbench.benchmark.testing import audit, evaluate
 from partialbench.benchmark.testing.company import company_audit
 from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
@@ -137,3 +139,19 @@ def test_keyed_draws_leave_the_generators_where_they_were():
     with keyed_draws("a", 2):
         assert draw() != one
     assert draw() == expected
+
+
+def test_a_row_that_looks_at_batch_mates_stands_apart(data, tmp_path, caplog):
+    options = {"preset": "smoke", "device": "cpu", "num_points": 64, "max_test_clouds": None}
+    for kind in ("WithPrior", "Centred"):
+        (result,) = run_eval(
+            f"tests.benchmark.odd_models:{kind}", data, results_folder=tmp_path / "r", **options
+        )
+        assert result.conditions == ({"scored": "transductively"} if kind == "WithPrior" else {})
+    assert "depend on the clouds that are scored beside one" in caplog.text
+    build_leaderboard(tmp_path / "r", tmp_path / "b", check=True)
+    text = (tmp_path / "b" / "leaderboard.md").read_text()
+    ranked, apart = text.split("## Answers that are not a cloud's own")
+    assert "WithPrior" not in ranked
+    assert "WithPrior" in apart
+    assert "Centred" in ranked
