@@ -34,7 +34,9 @@ def fill(document: str, board: str) -> str:
         begin, title, old, end = match.groups()
         if markdown(title) not in sections:
             raise InputError(f"the board has no section {title!r}, but {', '.join(sections)}")
-        lines = [_cells(line) for line in sections[markdown(title)].splitlines() if line.startswith("|")]
+        lines = [
+            _cells(line) for line in sections[markdown(title)].splitlines() if line.startswith("|")
+        ]
         wanted = _cells(old.split("\n", 1)[0])
         missing = [name for name in wanted if name not in lines[0]]
         if missing:

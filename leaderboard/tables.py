@@ -105,7 +105,8 @@ LEGEND = """\
 Accuracy in %: share of test clouds named rightly, mean ± standard deviation over seeds; the
 interval is over test objects (bootstrap of whole objects). Rows that share a group number cannot be
 told apart (paired test over objects and, where rows have several seeds, over seeds; Holm's
-correction, 5 %); a row of one seed is one network, not a method. Behind the first: by how many points,
+correction, 5 %); a row of one seed is one network, not a method. Behind the first: by how many
+points,
 with a 95 % interval over objects; `differences.csv` has every pair of rows. Without duplicates: the
 same without the test clouds of objects made from the very bytes of a training object. Over classes:
 mean of the per-class accuracies. Pose bin: share of clouds whose best of the 60 bins is the true
@@ -123,8 +124,8 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["model", "variant", "train_data", "train_digest", "test_data", "test_digest", "preset",
-         "protocol_digest", "clouds", "seeds", "accuracy", "accuracy_std", "interval_low", "interval_high",
-         "groups", "duplicates", "accuracy_without_duplicates", "class_accuracy",
+         "protocol_digest", "clouds", "seeds", "accuracy", "accuracy_std", "interval_low",
+         "interval_high", "groups", "duplicates", "accuracy_without_duplicates", "class_accuracy",
          "restricted_accuracy", "calibration_error", "pose_top1", "pose_top5", "pose_median_deg",
          "pose_within_30", "rotation_drift", "parameters", "multiply_adds", "latency_ms",
          "batch_ms", "train_clouds_seen", "train_seconds", "train_clouds_per_second",
@@ -155,8 +156,16 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 *((paper, None) if column.on_paper_data else (None, paper)),
             ]  # fmt: skip
             writer.writerow(
-                ["" if v is None else f"{v:.6f}" if isinstance(v, float)
-                 else csv_cell(v) if isinstance(v, str) else v for v in line]
+                [
+                    ""
+                    if v is None
+                    else f"{v:.6f}"
+                    if isinstance(v, float)
+                    else csv_cell(v)
+                    if isinstance(v, str)
+                    else v
+                    for v in line
+                ]
             )
     return text.getvalue()
 
@@ -198,6 +207,10 @@ def differences_as_csv(board: list[Column], comparisons: list[Comparison]) -> st
         for pair, found in comparison.differences.items():
             figures = [*found, comparison.p_values[pair]]
             writer.writerow(
-                [csv_cell(column.title), *map(csv_cell, pair), *("" if math.isnan(f) else f"{f:.6f}" for f in figures)]
+                [
+                    csv_cell(column.title),
+                    *map(csv_cell, pair),
+                    *("" if math.isnan(f) else f"{f:.6f}" for f in figures),
+                ]
             )
     return text.getvalue()

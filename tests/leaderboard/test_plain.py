@@ -14,8 +14,8 @@ from leaderboard.output import LIST
 from leaderboard.plain import csv_cell, markdown
 from tests.leaderboard.records import CLASSES, add
 
-NAMES = ["$x_1$ and $y^2$", "a|b", "=1+1|cmd", "+x", "-y", "@z", "<img src=x onerror=alert(1)>", r"a\b",
-         r"\$a|", "*bold*", "[a](http://b)", "`c`", "&lt;", "100 % #_{}~^"]  # fmt: skip
+NAMES = ["$x_1$ and $y^2$", "a|b", "=1+1|cmd", "+x", "-y", "@z", "<img src=x onerror=alert(1)>",
+         r"a\b", r"\$a|", "*bold*", "[a](http://b)", "`c`", "&lt;", "100 % #_{}~^"]  # fmt: skip
 
 
 def rendered(text):
@@ -128,7 +128,9 @@ def test_a_list_that_points_elsewhere_deletes_nothing(tmp_path):
 
 
 def test_class_names_may_hold_signs_too(tmp_path, monkeypatch):
-    monkeypatch.setattr("tests.leaderboard.records.CLASSES", ["$a_b_c$ and $x^y^z$", "=1", "a|b", "<b>"])
+    monkeypatch.setattr(
+        "tests.leaderboard.records.CLASSES", ["$a_b_c$ and $x^y^z$", "=1", "a|b", "<b>"]
+    )
     assert CLASSES[0] == "bottle"
     add(tmp_path / "r", "one", 0.5)
     build_leaderboard(tmp_path / "r", tmp_path / "b")
