@@ -181,9 +181,9 @@ def budget_title(result: Result) -> str:
 
 
 def protocol_title(result: Result) -> str:
-    """The preset and what was changed about it, "mini epochs=16".
+    """The preset and what was changed about it, "board stretch=1.25".
 
-    "mini+" where the preset itself has changed since.
+    "board+" where the preset itself has changed since.
     """
     used = dict(result.protocol)
     name = str(used.pop("preset"))

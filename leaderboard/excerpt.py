@@ -4,7 +4,7 @@
 
 The document marks where, and its own header row says which columns::
 
-    <!-- leaderboard: pm40-clouds, partial, mini -->
+    <!-- leaderboard: pm40-clouds, partial, board -->
     | model | accuracy | 95 % interval |
     …
     <!-- end -->

@@ -92,11 +92,12 @@ def parse_header(content: bytes) -> PlyHeader:
     # With lines ended by CR, a byte 10 behind the header is the first of the data.
     newline = first[1]
     after = end.start(1) + (len(newline) if end[1].startswith(newline) else len(end[1]))
-    text = content[: end.start()].decode("latin-1")
     encoding = ""
     elements: list[tuple[str, int, list[PlyProperty]]] = []
-    for line in re.split(r"\r\n|\r|\n", text)[1:]:
-        match line.split():
+    for raw in re.split(rb"\r\n|\r|\n", content[: end.start()])[1:]:
+        # Split as bytes: in a text, a byte 160 would be a blank.
+        words = [word.decode("latin-1") for word in raw.split()]
+        match words:
             case [] | ["comment", *_] | ["obj_info", *_]:
                 pass
             case ["format", word, "1.0"] if word in FORMATS and not encoding:
@@ -112,7 +113,9 @@ def parse_header(content: bytes) -> PlyHeader:
             case ["property", word, name] if elements and word in TYPES:
                 elements[-1][2].append(PlyProperty(name, TYPES[word]))
             case _:
-                raise InputError(f"the PLY header has the line {line[:60]!r}, which is no PLY")
+                raise InputError(
+                    f"the PLY header has the line {' '.join(words)[:60]!r}, which is no PLY"
+                )
     if not encoding:
         raise InputError(f"the PLY header has no line format {' or '.join(FORMATS)} 1.0")
     return PlyHeader(

@@ -354,6 +354,7 @@ def _surface_distances(
             report.problems.append(f"{entry.file}: the source has no object {name!r}")
             continue
         try:
+            # Sources of mesh files hold what they read against a count of their own.
             shape = source.load(refs[stored])
         except InputError as error:
             report.problems.append(f"{entry.file}: row {row} has no source: {error}")

@@ -10,7 +10,8 @@ import torch
 
 from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.training.batches import BatchStream, Place
-from partialbench.geometry.rotations import haar_rotations, is_rotation
+from partialbench.benchmark.training.stretch import stretched
+from partialbench.geometry.rotations import axis_rotation, haar_rotations, is_rotation
 from partialbench.geometry.symmetry import GROUPS, map_rotation, map_rotations
 from tests.benchmark import memory_clouds
 
@@ -142,3 +143,45 @@ def test_mapping_a_mixed_batch_is_mapping_each_row(rng):
     mapped = map_rotations(rotations, names)
     for R, name, got in zip(rotations, names, mapped, strict=True):
         assert np.allclose(got, map_rotation(R, GROUPS[name]), atol=1e-12)
+
+
+STRETCH = dataclasses.replace(PROTOCOL, stretch=1.5, rotation="none")
+
+
+def test_stretching_is_along_the_objects_axes_and_within_bounds(clouds):
+    """A cloud back in its object's frame is the one it was, each axis by a factor of its own."""
+    plain = dataclasses.replace(STRETCH, stretch=1.0)
+    seen = []
+    for (_, before), (_, after) in zip(
+        epoch(stream(clouds, plain), 0), epoch(stream(clouds, STRETCH), 0), strict=True
+    ):
+        assert torch.equal(before.rotation, after.rotation)
+        ratio = (after.points @ after.rotation) / (before.points @ before.rotation)
+        factors = ratio.nanmedian(1, keepdim=True).values
+        torch.testing.assert_close(
+            after.points @ after.rotation, before.points @ before.rotation * factors,
+            atol=1e-4, rtol=1e-4,
+        )  # fmt: skip
+        seen.append(factors[:, 0])
+    factors = torch.cat(seen)
+    assert factors.min() > 1 / 1.5
+    assert factors.max() < 1.5
+    assert factors.log().std() > 0.1
+    assert abs(factors.log().mean()) < 0.1
+
+
+def test_stretching_keeps_the_symmetry_of_the_object():
+    """S·A = A·S for every element: the stretched object looks the same under it, so labels hold."""
+    rng = np.random.default_rng(0)
+    for name, group in GROUPS.items():
+        rotations = haar_rotations(rng, 8)
+        corners = np.broadcast_to(np.eye(3), (8, 3, 3)) @ rotations.swapaxes(1, 2)
+        names = np.array([name] * 8)
+        mapped = stretched(corners.astype(np.float32), rotations, names, 1.5, rng) @ rotations
+        elements = [*group.elements, *([axis_rotation("z", 0.7)] if group.continuous else [])]
+        for matrix in mapped:
+            assert np.abs(matrix - np.diag(np.diag(matrix))).max() < 1e-5
+            for element in elements:
+                np.testing.assert_allclose(element @ matrix, matrix @ element, atol=1e-5)
+        free = name not in ("z-90", "z-inf")
+        assert (np.abs(mapped[:, 0, 0] - mapped[:, 1, 1]).max() > 0.05) == free, name

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from partialbench.benchmark.campaign.file import load
-from partialbench.benchmark.campaign.jobs import Test, all_jobs
+from partialbench.benchmark.campaign.jobs import Condition, all_jobs
 from partialbench.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -54,7 +54,7 @@ def test_a_file_becomes_jobs_the_milestone_that_is_behind_first(tmp_path):
         ("pointnet", 0, 100), ("dgcnn", 0, 100), ("pointnet", 1, 100), ("dgcnn", 1, 100),
     ]  # fmt: skip
     assert jobs[0].tests == (
-        Test("shapes"), Test("rooms"), Test("shapes", 64), Test("rooms", 64),
+        Condition("shapes"), Condition("rooms"), Condition("shapes", 64), Condition("rooms", 64),
     )  # fmt: skip
     trials = [job for job in all_jobs(campaign) if job.kind == "tune"]
     assert [job.recipe for job in trials] == ['{"lr": 0.001}', '{"lr": 0.002}']
@@ -64,8 +64,8 @@ def test_two_entries_of_one_training_are_one_with_the_tests_of_both(tmp_path):
     more = '[[train]]\nmodels = "pointnet"\ndata = "shapes"\nclouds = 100\nposes = [0]\n'
     jobs = all_jobs(load(written(tmp_path, SMALL + more)))
     (job,) = [j for j in jobs if j.model == "pointnet" and j.clouds == 100 and j.seed == 0]
-    assert Test("shapes", None, "0") in job.tests
-    assert Test("rooms", 64) in job.tests
+    assert Condition("shapes", None, "0") in job.tests
+    assert Condition("rooms", 64) in job.tests
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,17 @@ def test_points_off_the_surface_are_found(folder):
     assert any("off the source's surface" in p for p in report.problems)
 
 
+def test_an_object_that_the_source_cannot_read_is_named(folder):
+    other = ToySource()
+
+    def load(ref):
+        raise InputError("part.obj: 7 faces were read, but the file has 8")
+
+    other.load = load
+    problems = verify(folder, other).problems
+    assert any("cannot be checked: part.obj: 7 faces were read" in p for p in problems)
+
+
 def test_a_flipped_byte_is_found_and_located(folder):
     path = folder / "train-00001.h5"
     with h5py.File(path) as shard:

@@ -13,6 +13,8 @@ from renderers.sources.mesh import SUFFIXES, normalise, read_mesh
 
 
 def export(mesh: trimesh.Trimesh | trimesh.Scene, suffix: str) -> bytes:
+    if suffix == ".gltf":
+        return trimesh.exchange.gltf.export_gltf(mesh, embed_buffers=True)["model.gltf"]
     content = mesh.export(file_type=suffix.lstrip("."))
     return content.encode() if isinstance(content, str) else content
 
@@ -155,7 +157,7 @@ def test_a_text_ply_cut_short_is_an_input_error(lost: str) -> None:
     assert len(read_mesh(whole, ".ply").faces) == 320
     kept = {"half": whole[: len(whole) // 2], "a line": whole.rpartition(b"\n")[0],
             "an index": whole.rpartition(b" ")[0]}  # fmt: skip
-    with pytest.raises(InputError, match=r"^ball: the ASCII PLY was cut short"):
+    with pytest.raises(InputError, match=r"^ball: .*ASCII PLY .*cut short"):
         read_mesh(kept[lost], ".ply", name="ball")
 
 
@@ -213,7 +215,7 @@ def test_what_cannot_be_normalised() -> None:
     def mesh(vertices: object, faces: object) -> trimesh.Trimesh:
         return trimesh.Trimesh(vertices, faces, process=False, validate=False)
 
-    with pytest.raises(InputError, match=r"cup: all 3 vertices in use are at \[1.0, 2.0, 3.0\]"):
+    with pytest.raises(InputError, match="cup: none of its 1 faces has an area: their corners"):
         normalise(mesh([[1, 2, 3]] * 3, [[0, 1, 2]]), "cup")
     with pytest.raises(InputError, match="NaN or infinite"):
         normalise(mesh([[0, 0, 0], [1, np.nan, 0], [0, 1, 0]], [[0, 1, 2]]))

@@ -9,9 +9,15 @@ import pytest
 import trimesh
 
 from partialbench.errors import InputError
-from renderers.sources.off import read_off
+from renderers.sources.mesh import read_mesh
+
+
+def read_off(source: bytes | Path, name: str = "") -> trimesh.Trimesh:
+    return read_mesh(source, ".off", name=name)
+
 
 VERTICES = "0 0 0\n1 0 0\n1 1 0\n0 1 0.5\n"
+COLOURED = "OFF\n4 2 0\n" + VERTICES.replace("\n", " 200 100 0 255\n") + "3 0 1 2\n3 0 2 3\n"
 PLAIN = "OFF\n4 2 0\n" + VERTICES + "3 0 1 2\n3 0 2 3\n"
 POINTS = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]]
 TRIANGLES = [[0, 1, 2], [0, 2, 3]]
@@ -36,10 +42,9 @@ TRIANGLES = [[0, 1, 2], [0, 2, 3]]
         PLAIN.replace("1 1 0\n", "1.0e0 +1 -0.\n"),
         PLAIN.replace("3 0 1 2\n", "3 0 1 2 255 0 0\n"),
         PLAIN.replace("3 0 1 2\n", "3 0 1 2 0.5 0.25 1.0 0.5\n").replace("2 3\n", "2 3 7\n"),
-        PLAIN.replace("1 1 0\n", "1 1 0 200 100 0 255\n"),
+        COLOURED,
         "OFF\n4 1 0\n" + VERTICES + "4 0 1 2 3\n",
         "OFF\n4 1 0\n" + VERTICES + "4 0 1 2 3 255 255 255\n",
-        PLAIN + "0 1\n",
     ],
 )
 def test_all_ways_to_write_one_mesh(text: str) -> None:
@@ -77,24 +82,26 @@ def test_coordinates_are_the_nearest_float64() -> None:
         (" \n\r\n ", "the file is empty"),
         ("solid ascii", "begins with 'solid'; expected OFF"),
         ("ply\nformat", "begins with 'ply'; expected OFF"),
-        (PLAIN.replace("OFF", "COFF"), "begins with 'COFF'; expected OFF"),
-        ("OFF\n", "begins with 'OFF'; expected OFF and the counts"),
-        ("OFF\nfour two 0\n", "the counts are 'four two'; expected whole numbers"),
+        (PLAIN.replace("OFF", "COFF"), "vertex 0 is '0 0 0'; expected 7 or 6 numbers"),
+        (PLAIN.replace("OFF", "XOFF"), "begins with 'XOFF'; expected OFF"),
+        (PLAIN + "0 1\n", "7 lines follow the counts of 4 vertices and 2 faces; expected 6"),
+        ("OFF\n", "has no counts behind its keyword"),
+        ("OFF\nfour two 0\n", "'four' is one of the counts of .*; expected a whole number"),
         ("OFF\n4 0 0\n" + VERTICES, "4 vertices and 0 faces; expected at least one face"),
         ("OFF\n0 2 0\n", "0 vertices and 2 faces"),
         ("OFF\n-4 2 0\n" + VERTICES, "-4 vertices and 2 faces"),
         ("OFF\n4 2 0\n0 0 0\n1 0 0\n", "ends after vertex 2 of 4; it was cut short"),
         (PLAIN[:-9], "ends after face 1 of 2; it was cut short"),
-        (PLAIN[:-3], "face 1 is '3 0 2'; expected a count of at least 3"),
+        (PLAIN[:-3], "face 1 is '3 0 2'; expected a count, as many vertex indices"),
         (PLAIN.replace("1 1 0\n", "nan 1 0\n"), r"vertex 2 is \[nan, 1.0, 0.0\]; expected finite"),
         (PLAIN.replace("1 1 0\n", "1 -inf 0\n"), r"vertex 2 is \[1.0, -inf, 0.0\]"),
-        (PLAIN.replace("1 1 0\n", "1 x 0\n"), "vertex 2 is '1 x 0'; expected three numbers"),
-        (PLAIN.replace("1 1 0\n", "1 1\n"), "vertex 2 is '1 1'; expected three numbers"),
+        (PLAIN.replace("1 1 0\n", "1 x 0\n"), "vertex 2 is '1 x 0'; expected numbers"),
+        (PLAIN.replace("1 1 0\n", "1 1\n"), "vertex 2 is '1 1'; expected 3 or 6 or 7 numbers"),
         (PLAIN.replace("3 0 1 2", "3 0 1 4"), "a face names vertex 4; .* are 0 to 3"),
         (PLAIN.replace("3 0 1 2", "3 0 1 -1"), "a face names vertex -1; .* are 0 to 3"),
-        (PLAIN.replace("3 0 1 2", "2 0 1"), "face 0 is '2 0 1'; expected a count of at least 3"),
+        (PLAIN.replace("3 0", "2 0"), "none of its 2 faces has three corners"),
         (PLAIN.replace("3 0 1 2", "5 0 1 2"), "face 0 is '5 0 1 2'"),
-        (PLAIN.replace("3 0 1 2", "3 0 1.5 2"), "face 0 is '3 0 1.5 2'"),
+        (PLAIN.replace("3 0 1 2", "3 0 1.5 2"), "face 0 is '0 1.5 2'; expected vertex indices"),
         (PLAIN.replace("3 0 1 2", "3 0 1 99999999999999999999"), "vertex index|names vertex"),
     ],
 )

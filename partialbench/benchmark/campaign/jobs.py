@@ -31,7 +31,7 @@ FAILURES = "failures.jsonl"
 
 
 @dataclass(frozen=True)
-class Test:
+class Condition:
     """On what a milestone is tested: the data set's name, points of a cloud (None: as trained), and
     the pose that is given ("" for none)."""
 
@@ -60,7 +60,7 @@ class Job:
     data: str
     seed: int
     clouds: int
-    tests: tuple[Test, ...] = ()
+    tests: tuple[Condition, ...] = ()
 
     @property
     def training(self) -> tuple[object, ...]:
@@ -84,7 +84,7 @@ class Job:
 
 def from_dict(fields: Mapping[str, Any]) -> Job:
     """The job that ``as_dict`` described."""
-    tests = tuple(Test(**test) for test in fields["tests"])
+    tests = tuple(Condition(**test) for test in fields["tests"])
     return Job(**{**fields, "tests": tests})
 
 
@@ -118,12 +118,12 @@ def _jobs_of(entry: Entry) -> Iterable[Job]:
                         )  # fmt: skip
 
 
-def _tests(entry: Entry, data: str) -> tuple[Test, ...]:
-    own = [Test(name) for name in dict.fromkeys((data, *entry.test))]
+def _tests(entry: Entry, data: str) -> tuple[Condition, ...]:
+    own = [Condition(name) for name in dict.fromkeys((data, *entry.test))]
     return (
         *own,
-        *(Test(test.data, points) for test in own for points in entry.points),
-        *(Test(test.data, None, pose) for test in own for pose in entry.poses),
+        *(Condition(test.data, points) for test in own for points in entry.points),
+        *(Condition(test.data, None, pose) for test in own for pose in entry.poses),
     )
 
 
@@ -217,7 +217,7 @@ class Ledger:
         speed = result.training["clouds_per_second"]
         self.speeds.setdefault((result.model, _json(result.options)), speed)
 
-    def _record(self, job: Job, train: str, test: Test) -> tuple[object, ...]:
+    def _record(self, job: Job, train: str, test: Condition) -> tuple[object, ...]:
         return (
             job.model, job.options, self.recipe_of(job), job.precision, job.seed, job.clouds,
             self._protocol.digest, train, self.digests[test.data].get("test"),

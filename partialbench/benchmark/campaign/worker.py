@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from partialbench.benchmark.campaign.jobs import Job, from_dict
-from partialbench.errors import PartialbenchError
+from partialbench.errors import PartialbenchError, TimeLimitError
 
 DONE, FAILED, STOPPED = "done", "failed", "stopped"
 DIVERGED = "diverged"
@@ -64,20 +64,24 @@ def main() -> None:
             time.sleep(1.0)
 
     threading.Thread(target=watch, daemon=True).start()
-    job = from_dict(order["job"])
-    # Imported here: the watch is on before torch takes its seconds.
-    from partialbench.benchmark.training.train import DivergedError, TimeLimitError
+    outcome = outcome_of(from_dict(order["job"]), order, stop)
+    sys.stdout.write(f"\n{json.dumps(outcome)}\n")
+
+
+def outcome_of(job: Job, order: dict[str, Any], stop: Path) -> dict[str, Any]:
+    """Does the job and says how it ended."""
+    # Imported here: in a process of its own the watch is on before torch takes its seconds.
+    from partialbench.benchmark.training.loop import DivergedError
 
     try:
         _work(job, order, stop)
-        outcome = {"outcome": DONE}
     except TimeLimitError as error:
-        outcome = {"outcome": STOPPED, "reason": str(error)}
+        return {"outcome": STOPPED, "reason": str(error)}
     except DivergedError as error:
-        outcome = {"outcome": FAILED, "reason": str(error), "kind": DIVERGED}
+        return {"outcome": FAILED, "reason": str(error), "kind": DIVERGED}
     except PartialbenchError as error:
-        outcome = {"outcome": FAILED, "reason": str(error)}
-    sys.stdout.write(f"\n{json.dumps(outcome)}\n")
+        return {"outcome": FAILED, "reason": str(error)}
+    return {"outcome": DONE}
 
 
 def _work(job: Job, order: dict[str, Any], stop: Path) -> None:

@@ -1,0 +1,1 @@
+"""Mesh files: one reader a format, polygons cut into triangles, and a count beside each reader."""

@@ -1,0 +1,206 @@
+"""A campaign does what is missing, whatever stopped it, and says where it stands."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from partialbench.benchmark.campaign import run as running
+from partialbench.benchmark.campaign import worker
+from partialbench.benchmark.campaign.file import load
+from partialbench.benchmark.campaign.jobs import FAILURES, all_jobs, from_dict
+from partialbench.benchmark.campaign.status import status
+from partialbench.benchmark.records import results
+from partialbench.benchmark.training.train import DivergedError
+from partialbench.dataset.lock import sole_user
+from partialbench.errors import InputError, PartialbenchError, TimeLimitError
+from tests.benchmark.memory_clouds import data_folder
+from tests.benchmark.tiny_models import MODELS
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = """
+results = "records"
+work = "work"
+preset = "smoke"
+
+[data.toy]
+render = "pm40 --counts 1,1"
+[data.other]
+render = "pm40 --counts 1,1"
+
+[[train]]
+models = ["{MODELS}:Bare", "{MODELS}:Posed"]
+data = "toy"
+clouds = [32, 64]
+
+[[train]]
+models = "{MODELS}:Posed"
+data = "toy"
+clouds = 64
+test = "other"
+points = 32
+poses = "0"
+
+[[tune]]
+models = "{MODELS}:Bare"
+data = "toy"
+clouds = 64
+tries = [{lr = 0.01}]
+"""
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    (tmp_path / "board.toml").write_text(TEXT.replace("{MODELS}", MODELS))
+    data_folder(tmp_path / "work" / "data" / "toy", points=256)
+    data_folder(
+        tmp_path / "work" / "data" / "other", "toy-rooms", ("table", "chair"), points=256, seed=5
+    )
+    return load(tmp_path / "board.toml")
+
+
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Jobs run here, one after the other; what they were, in order."""
+    begun = []
+
+    def run_here(order, stop):
+        job = from_dict(order["job"])
+        begun.append((job.kind, job.model.partition(":")[2], job.clouds))
+        return worker.outcome_of(job, order, Path(stop))
+
+    monkeypatch.setattr(running, "run_in_process", run_here)
+    return begun
+
+
+def test_all_that_is_missing_is_done_the_lowest_milestone_first(campaign, in_this_process):
+    before = status(campaign)
+    assert len(before.missing) == len(all_jobs(campaign)) == 5
+    assert before.without_speed == 5
+    after = running.run(campaign, jobs=1)
+    assert in_this_process == [
+        ("train", "Bare", 32), ("train", "Posed", 32), ("train", "Bare", 64),
+        ("train", "Posed", 64), ("tune", "Bare", 64),
+    ]  # fmt: skip
+    assert (len(after.done), after.missing, after.hours) == (5, [], 0.0)
+    records = results.read_folder(campaign.results)
+    assert len(records) == 3 + 6  # 64 clouds of Posed: two sets, each whole, on fewer points, posed
+    assert not (campaign.work / "running.json").exists()
+    in_this_process.clear()
+    running.run(campaign, jobs=1)
+    assert in_this_process == []
+
+
+def test_hours_to_go_come_from_recorded_speeds(campaign, in_this_process):
+    running.run(campaign, jobs=1, only="*Bare")
+    left = status(campaign)
+    assert {job.model for job in left.missing} == {f"{MODELS}:Posed"}
+    assert left.without_speed == 2
+    for record in results.read_folder(campaign.results):
+        if record.clouds == 64:
+            next(campaign.results.glob(f"{record.run_name}*.json")).unlink()
+    left = status(campaign)
+    (speed,) = {
+        r.training["clouds_per_second"] for r in results.read_folder(campaign.results)
+        if r.clouds == 32
+    }  # fmt: skip
+    # From the trunk at 32 to 64: what the trunk still needs, and the branch.
+    assert left.hours == pytest.approx((0.8 * 32 + 0.2 * 64) / speed / 3600)
+
+
+def test_a_diverged_training_is_recorded_and_the_rest_goes_on(
+    campaign, in_this_process, monkeypatch
+):
+    train = worker._work
+
+    def diverges(job, order, stop):
+        if job.model.endswith("Bare") and job.kind == "train":
+            raise DivergedError("the training loss became nan")
+        train(job, order, stop)
+
+    monkeypatch.setattr(worker, "_work", diverges)
+    after = running.run(campaign, jobs=1)
+    # Its later milestone would diverge too, and is not tried.
+    assert in_this_process.count(("train", "Bare", 64)) == 0
+    assert len(after.failed) == 2
+    assert len(after.done) == 3
+    (line,) = (campaign.results / FAILURES).read_text().splitlines()
+    assert "became nan" in json.loads(line)["reason"]
+    monkeypatch.setattr(worker, "_work", train)
+    assert len(running.run(campaign, jobs=1, retry_failed=True).done) == 5
+    assert not (campaign.results / FAILURES).exists()
+
+
+def test_time_that_is_over_ends_it_with_75_and_keeps_what_is_done(campaign, in_this_process):
+    with pytest.raises(TimeLimitError, match="5 jobs are left"):
+        running.run(campaign, jobs=1, time_limit_s=1e-3)
+    assert TimeLimitError.exit_status == 75
+    assert in_this_process == []
+
+
+def test_two_campaigns_in_one_folder_and_a_full_disk(campaign, in_this_process, monkeypatch):
+    with sole_user(campaign.work), pytest.raises(PartialbenchError, match="another"):
+        running.run(campaign, jobs=1)
+    monkeypatch.setattr(running, "LEAST_FREE_BYTES", 1 << 62)
+    with pytest.raises(PartialbenchError, match=r"only \d+ MB are free .* Make room"):
+        running.run(campaign, jobs=1)
+    assert in_this_process == []
+
+
+def test_data_of_another_digest_are_named_with_both_and_with_what_made_them(campaign):
+    text = campaign.path.read_text().replace(
+        "[data.other]", f'digests = {{train = "{"a" * 64}"}}\nmade_by = "release 9"\n[data.other]'
+    )
+    campaign.path.write_text(text)
+    both = (
+        f"has the digest [0-9a-f]+, made by partialbench .* declares {'a' * 64}, made by release 9"
+    )
+    with pytest.raises(InputError, match=both):
+        status(load(campaign.path))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["two at once", "killed", "cluster"])
+def test_processes_end_with_the_same_answers_however_they_ran(campaign, in_this_process, way):
+    """Really several processes; killed with SIGKILL three times at random moments."""
+    other = campaign.path.parent / "again"
+    other.mkdir()
+    shutil.copy(campaign.path, other)
+    shutil.copytree(campaign.work / "data", other / "work" / "data")
+    running.run(campaign, jobs=1)
+    command = [sys.executable, "-m", "partialbench.cli", "campaign", "run", "board.toml"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+    def start(*options):
+        return subprocess.Popen([*command, *options], cwd=other, env=environment)
+
+    if way == "killed":
+        moments = random.Random(0)
+        for _ in range(3):
+            process = start("--jobs", "2")
+            time.sleep(moments.uniform(5, 25))
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            time.sleep(3)  # its trainings notice
+    if way == "cluster":
+        distributed = pytest.importorskip("distributed")
+        with distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as cluster:
+            assert start("--scheduler", cluster.scheduler_address).wait() == 0
+    else:
+        assert start("--jobs", "2").wait() == 0
+    for folder in (campaign.results, other / "records"):
+        assert len(results.read_folder(folder)) == 9
+    for record in results.read_folder(campaign.results):
+        again = results.read(other / "records" / f"{record.run_name}{results.SUFFIX}")
+        assert again.predictions_sha256 == record.predictions_sha256
+        assert again.weights_sha256 == record.weights_sha256
+        assert again.scores == record.scores
