@@ -13,11 +13,12 @@ from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
+from leaderboard.output import write_board
 from leaderboard.poses import pose_layouts
 from leaderboard.settings import setting_layouts
+from leaderboard.transductive import transductive_layouts
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
-from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 
@@ -29,10 +30,12 @@ def build_leaderboard(
 ) -> list[Path]:
     """Writes leaderboard.md, .csv, .tex and .html, two more .csv and figures/*.svg and *.png.
 
-    The same records (and data) give the same bytes.
+    The same records (and data) give the same bytes. Files of an earlier board that this one lacks
+    are removed from ``out``.
 
     Args:
-        check: recompute every score from the stored predictions first.
+        check: recompute every score from the stored predictions first, and hold cards against the
+            registry and test sets against the given data.
         data: data folders the records were tested on: the page shows clouds on which the models
             disagree from those whose digest fits. They become part of the page; whoever passes it
             on needs the right to.
@@ -60,7 +63,8 @@ def build_leaderboard(
     if not board:
         raise InputError(
             f"{folder} holds only tests under other conditions than trained on (fewer points, "
-            f"another sensor, a given pose); each needs its model's own test beside it, with --data"
+            f"another sensor, a given pose), which need their model's own test beside them, with "
+            f"--data, or models whose answers depend on a test cloud's batch-mates"
         )
     comparisons = [compare(column, folder) for column in board]
     families = curves.find_families(board, records, folder)
@@ -76,6 +80,7 @@ def build_leaderboard(
         *setting_layouts(board, folder),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
         *tuning_layouts(folder, records, board),
@@ -91,10 +96,7 @@ def build_leaderboard(
     for name, (_, figure) in drawn.items():
         contents[f"figures/{name}.svg"] = svgs[name][1]
         contents[f"figures/{name}.png"] = figures.to_bytes(figure, "png")
-    (out / "figures").mkdir(parents=True, exist_ok=True)
-    for name, content in contents.items():
-        write_atomically(out / name, content)
-    return [out / name for name in contents]
+    return write_board(out, contents)
 
 
 def _require_none(wrong: list[str], folder: Path) -> None:
