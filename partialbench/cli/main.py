@@ -17,6 +17,7 @@ from partialbench import __version__, user_code
 from partialbench.cli import benchmark, board, data
 from partialbench.console import stderr
 from partialbench.errors import PartialbenchError
+from partialbench.search_path import current_folder_last
 
 app = typer.Typer(
     name="partialbench",
@@ -51,7 +52,7 @@ def _root(
 def main() -> None:
     """Entry point: turns expected errors into one line on stderr and exit status 1."""
     # A user's own model lives in the folder they stand in, and stands in for nothing of ours.
-    user_code.current_folder_last()
+    current_folder_last()
     user_code.ours_first()
     try:
         app()

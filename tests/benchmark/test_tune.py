@@ -152,7 +152,7 @@ def test_trials_may_begin_from_weights(done, data, tmp_path):
         MODEL, data, [{"lr": 1e-7}], "mini", device="cpu", results_folder=tmp_path,
         start_from=start, protocol=SHORT,
     )  # fmt: skip
-    assert trial.options.startswith("start=toy:")
+    assert trial.options.startswith("start toy:")
     assert trial.recipe == "lr=1e-07"
     before = checkpoint.load(start)["state"]
     after = checkpoint.load(next(tmp_path.glob("runs/*/checkpoint.pt")))["state"]
