@@ -96,7 +96,7 @@ def test_a_text_of_more_columns_is_a_cloud_whatever_they_are(weights, tmp_path, 
 
 
 def test_a_depth_image_needs_intrinsics_that_make_sense(weights, tmp_path):
-    np.save(tmp_path / "d.npy", np.ones((20, 30)))
+    np.save(tmp_path / "d.npy", np.linspace(1, 2, 600).reshape(20, 30))
     with pytest.raises(InputError, match="30×20 pixels: its intrinsics are needed"):
         predict(weights, tmp_path / "d.npy")
     with pytest.raises(InputError, match="focal lengths must be positive"):
