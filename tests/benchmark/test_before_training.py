@@ -145,7 +145,7 @@ def test_arguments_are_checked_first(given, message):
 def test_a_folder_for_results_must_be_one(tmp_path):
     (tmp_path / "file").write_text("")
     for wrong in ("file", "file/under"):
-        with pytest.raises(InputError, match="--results: .*file is not a folder"):
+        with pytest.raises(InputError, match=r"--results: .*file is not a folder"):
             preflight.check("pointnet", results=tmp_path / wrong)
     preflight.check("pointnet", results=tmp_path / "to" / "be" / "made")
 
