@@ -18,7 +18,7 @@ FILES = (NAME, OWNER)
 """What a lock leaves in a folder."""
 
 _NO_FLOCK = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL)
-"""How file systems say that they have no ``flock``: Lustre mounted without it, NFS without lockd."""
+"""How file systems say that they have no ``flock`` (Lustre mounted without, NFS without lockd)."""
 
 
 @contextlib.contextmanager
@@ -54,7 +54,9 @@ def sole_user(out: Path) -> Iterator[None]:
 @contextlib.contextmanager
 def _owned(out: Path) -> Iterator[None]:
     path = out / OWNER
-    mine = json.dumps({"host": socket.gethostname(), "pid": os.getpid(), "started": _started("self")})
+    mine = json.dumps(
+        {"host": socket.gethostname(), "pid": os.getpid(), "started": _started("self")}
+    )
     for _ in range(2):
         try:
             handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o644)

@@ -218,7 +218,15 @@ def _read_and_check(
             recorded = file.attrs["configuration_digest"]
             listed = set(file["objects/object_id"][()]) if "objects" in file else None
             version = file.attrs["format_version"]
-    except (InputError, OSError, KeyError, RuntimeError, TypeError, ValueError, MemoryError) as error:
+    except (
+        InputError,
+        OSError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        MemoryError,
+    ) as error:
         problem(f"not readable: {error}")
         return None
     if recorded != manifest.configuration_digest:

@@ -162,7 +162,7 @@ def _shape_names(folder: Path) -> list[str]:
 
 
 def _class_names(names: list[str], highest: int, folder: Path) -> tuple[str, ...]:
-    """The names in the file; ModelNet40's where these begin as they do and there are more labels."""
+    """The names in the file; ModelNet40's where these begin as they do."""
     if names and names == list(MODELNET40[: len(names)]) and highest < len(MODELNET40):
         return MODELNET40
     if highest >= len(names):

@@ -38,12 +38,19 @@ def structured(points: NDArray, names: str = "xyz") -> NDArray:
 def ply(points: NDArray, encoding: str, more: str = "", end: str = "\n") -> bytes:
     kinds = {"float": "f4", "uchar": "u1", "double": "f8"}
     fields = [("red", "uchar"), ("x", "double"), ("y", "double"), ("z", "double")]
-    header = ["ply", f"format {encoding} 1.0", "comment element face 12", f"element vertex {len(points)}"]
+    header = [
+        "ply",
+        f"format {encoding} 1.0",
+        "comment element face 12",
+        f"element vertex {len(points)}",
+    ]
     header += [f"property {kind} {name}" for name, kind in fields]
     header += [*filter(None, [more]), "end_header"]
     head = (end.join(header) + end).encode()
     if encoding == "ascii":
-        return head + text(np.hstack([np.full((len(points), 1), 7), points]), end=end).replace(b"7.0 ", b"7 ")
+        return head + text(np.hstack([np.full((len(points), 1), 7), points]), end=end).replace(
+            b"7.0 ", b"7 "
+        )
     order = "<" if "little" in encoding else ">"
     table = np.zeros(len(points), [(name, order + kinds[kind]) for name, kind in fields])
     table["x"], table["y"], table["z"] = points.T
@@ -58,7 +65,8 @@ def pcd(points: NDArray, encoding: str, kind: str = "f8") -> bytes:
         f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(points)}\nDATA {encoding}\n"
     ).encode()
     table = np.zeros(
-        len(points), [("rgb", "<u4"), ("x", f"<{kind}"), ("_", "u1", 4), ("y", f"<{kind}"), ("z", f"<{kind}")]
+        len(points),
+        [("rgb", "<u4"), ("x", f"<{kind}"), ("_", "u1", 4), ("y", f"<{kind}"), ("z", f"<{kind}")],
     )
     table["x"], table["y"], table["z"] = points.T
     if encoding == "binary":

@@ -1,4 +1,4 @@
-"""Clouds in every dialect give the points that were written; what may be read two ways is refused."""
+"""Clouds in every dialect give the points that were written; what is ambiguous is refused."""
 
 from __future__ import annotations
 
@@ -69,7 +69,10 @@ def test_text_that_may_be_read_two_ways_is_refused(content: str, message: str) -
         (written.npy(np.ones(60)), r"shape \(60,\); expected one"),
         (written.npy(np.ones((60, 3), complex)), "holds complex128, expected an array of real"),
         (written.npy(np.ones((60, 3), bool)), "holds bool, expected an array of real"),
-        (written.npy(written.structured(np.ones((9, 3)), "abc")), "the fields i, a, b, c; expected"),
+        (
+            written.npy(written.structured(np.ones((9, 3)), "abc")),
+            "the fields i, a, b, c; expected",
+        ),
         (written.npy(np.ones((60, 3))) + b"more", "4 bytes follow its array"),
     ],
 )
@@ -93,10 +96,12 @@ def test_normals_are_kept_where_the_file_has_them(rng) -> None:
     normals = rng.normal(size=(30, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     both = np.hstack([points, normals])
-    ply = written.ply(points, "ascii").replace(b"uchar red", b"float nx").replace(
-        b"end_header", b"property float ny\nproperty float nz\nend_header"
+    ply = (
+        written.ply(points, "ascii")
+        .replace(b"uchar red", b"float nx")
+        .replace(b"end_header", b"property float ny\nproperty float nz\nend_header")
     )
-    head, _, body = ply.partition(b"end_header\n")
+    head = ply.partition(b"end_header\n")[0]
     rows = np.column_stack([normals[:, 0], points, normals[:, 1:]])
     contents = {
         "a.txt": written.text(both, ","),
@@ -106,8 +111,8 @@ def test_normals_are_kept_where_the_file_has_them(rng) -> None:
         "a.ply": head + b"end_header\n" + written.text(rows),
         "named.csv": b"nx,ny,nz,x,y,z\n" + written.text(np.hstack([normals, points]), ","),
         "a.pcd": written.pcd(points, "ascii").partition(b"# ")[0]
-        + f"FIELDS x y z normal_x normal_y normal_z\nSIZE 8 8 8 8 8 8\nTYPE F F F F F F\nWIDTH 30\n"
-          f"HEIGHT 1\nPOINTS 30\nDATA ascii\n".encode()
+        + b"FIELDS x y z normal_x normal_y normal_z\nSIZE 8 8 8 8 8 8\nTYPE F F F F F F\nWIDTH 30\n"
+          b"HEIGHT 1\nPOINTS 30\nDATA ascii\n"
         + written.text(both),
     }  # fmt: skip
     for name, content in contents.items():
@@ -132,7 +137,9 @@ def test_a_pcd_of_another_version_or_organised_is_read(rng) -> None:
     np.testing.assert_array_equal(read_cloud(old, "a.pcd"), points)
     image = points.copy()
     image[[2, 7]] = np.nan
-    grid = written.pcd(image, "binary_compressed").replace(b"WIDTH 12\nHEIGHT 1", b"WIDTH 4\nHEIGHT 3")
+    grid = written.pcd(image, "binary_compressed").replace(
+        b"WIDTH 12\nHEIGHT 1", b"WIDTH 4\nHEIGHT 3"
+    )
     np.testing.assert_array_equal(read_cloud(grid, "a.pcd"), np.delete(points, [2, 7], axis=0))
     wrong = grid.replace(b"HEIGHT 3", b"HEIGHT 4")
     with pytest.raises(InputError, match="POINTS': 12, 'WIDTH × HEIGHT': 16"):

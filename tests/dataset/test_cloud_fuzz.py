@@ -1,4 +1,4 @@
-"""Damaged clouds: what comes back is what the file says, or an error in words. Never a part of it."""
+"""Damaged clouds: what comes back is what the file says, or an error in words; never a part."""
 
 from __future__ import annotations
 
@@ -26,9 +26,11 @@ def outcome(content: bytes, name: str) -> np.ndarray | None:
         try:
             points, normals = read_oriented(content, name)
         except InputError as error:
-            assert name in str(error)
-            assert "Traceback" not in str(error)
-            return None
+            told = str(error)
+            points, normals = None, None
+    if points is None:
+        assert told.startswith(f"{name}: ")
+        return None
     assert points.dtype == np.float64
     assert points.ndim == 2
     assert points.shape[1] == 3
@@ -90,8 +92,8 @@ def try_damaged(rng: np.random.Generator, rounds: int) -> dict[str, int]:
 
 def _hold_against_words(content: bytes, points: np.ndarray, name: str) -> None:
     """Every coordinate read is a word of the text, and no line of three numbers is lost."""
-    text = content.decode("utf-16" if name == "utf16.txt" else
-                          "utf-16-be" if name == "utf16be.txt" else "latin-1", "replace")  # fmt: skip
+    encodings = {"utf16.txt": "utf-16", "utf16be.txt": "utf-16-be"}
+    text = content.decode(encodings.get(name, "latin-1"), "replace")
     words = set()
     for word in re.split(r"[\s,;#]+", text):
         try:
@@ -101,7 +103,9 @@ def _hold_against_words(content: bytes, points: np.ndarray, name: str) -> None:
     assert set(points.ravel().tolist()) <= words, name
     number = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?"
     whole = re.compile(rf"{number}(?:[ \t]*[ \t,;][ \t]*{number}){{2,}}[ \t,;]*", re.I)
-    lines = [line for line in re.split(r"[\r\n]", text) if whole.fullmatch(line.strip("\ufeffï»¿ \t"))]
+    lines = [
+        line for line in re.split(r"[\r\n]", text) if whole.fullmatch(line.strip("\ufeffï»¿ \t"))
+    ]
     assert len(points) == len(lines), name
 
 
@@ -118,8 +122,11 @@ def try_cut(rng: np.random.Generator, rounds: int) -> int:
             ):
                 got = outcome(changed, name)
                 tried += 1
+                # In text the very last number may be cut short: no reader can tell.
+                known = len(points) - (name in ("ascii.ply", "mac.ply", "ascii.pcd"))
                 if got is not None:
-                    np.testing.assert_array_equal(got, points, err_msg=name)
+                    assert len(got) == len(points), name
+                    np.testing.assert_array_equal(got[:known], points[:known], err_msg=name)
     return tried
 
 

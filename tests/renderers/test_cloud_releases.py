@@ -89,7 +89,7 @@ def test_what_lists_and_files_disagree_on_is_left_out_or_told(release, rng) -> N
         ("ply_data_test1.h5", "is in a list, but not in the folder", True),
     }
     (root / "test_files.txt").write_text("ply_data_train0.h5\n")
-    with pytest.raises(InputError, match="ply_data_train0.h5 is in both lists"):
+    with pytest.raises(InputError, match=r"ply_data_train0.h5 is in both lists"):
         open_source(root)
 
 
@@ -184,7 +184,9 @@ def test_scanobjectnn_is_imported_not_rendered(scans: Path, tmp_path: Path, rng)
     assert run.exit_code == 0, run.stderr
     for name in ("training_augmented.h5", "test_augmented.h5"):
         store(scans / name, rng, [0, 1])
-    with pytest.raises(InputError, match="has 2 pairs of files .*: training_augmented.h5, training"):
+    with pytest.raises(
+        InputError, match=r"has 2 pairs of files .*: training_augmented.h5, training"
+    ):
         import_scanobjectnn(scans, tmp_path / "out")
     one = import_scanobjectnn(scans / "test_objectdataset.h5", tmp_path / "out")
     assert one.configuration["source"]["files"]["train"] == "training_objectdataset.h5"

@@ -122,7 +122,10 @@ def test_a_tree_is_understood(names: list[str], objects: list, pattern: str) -> 
 
 
 def test_validation_is_the_test_where_there_is_no_other_else_training() -> None:
-    assert found("mug/train/0.off", "mug/val/0.off") == [("mug", "0", "test"), ("mug", "0", "train")]
+    assert found("mug/train/0.off", "mug/val/0.off") == [
+        ("mug", "0", "test"),
+        ("mug", "0", "train"),
+    ]
     names = ("mug/train/0.off", "mug/validation/0.off", "mug/test/0.off")
     assert found(*names) == [("mug", "0", "test"), ("mug", "0", "train"), ("mug", "val/0", "train")]
     assert understand(names).notes == ["validation objects join the training objects"]
@@ -152,13 +155,16 @@ def test_what_was_understood_is_said_and_enters_the_description(tmp_path: Path) 
         "two.off"
     )
     assert source.describe()["layout"] == "<class>/<split>/<file>"
-    assert [(r.location, r.failed) for r in source.rejected] == [("one.off", True), ("two.off", True)]
+    assert [(r.location, r.failed) for r in source.rejected] == [
+        ("one.off", True),
+        ("two.off", True),
+    ]
 
 
 def test_equal_names_lose_no_object(tmp_path: Path) -> None:
     """Neither from class to class nor from folder to folder."""
-    source = MeshFolder(write(tmp_path, "sofa/train/0.off", "chair/train/0.off", "sofa/x/train/0.off",
-                              "sofa/0.off", "sofa/test/0.off"))  # fmt: skip
+    names = ("sofa/train/0.off", "chair/train/0.off", "sofa/x/train/0.off", "sofa/0.off")
+    source = MeshFolder(write(tmp_path, *names, "sofa/test/0.off"))
     ids = [(s, r.object_id) for s in source.splits() for r in source.objects(s)]
     assert len(ids) == len(set(ids)) == 5
     assert source.rejected == []
@@ -245,13 +251,17 @@ def test_a_zip_of_clouds_is_one_of_clouds(tmp_path: Path, rng) -> None:
     assert source.load(source.objects("train")[0]).shape == (40, 3)
 
 
-def test_a_long_header_decides_by_its_faces_and_no_body_is_read(tmp_path: Path, monkeypatch) -> None:
+def test_a_long_header_decides_by_its_faces_and_no_body_is_read(
+    tmp_path: Path, monkeypatch
+) -> None:
     comments = "".join(f"comment element face 3 of line {n}\n" for n in range(900))
     ends = "property float x\nproperty float y\nproperty float z\nelement face {}\n" \
            "property list uchar int vertex_indices\nend_header\n"  # fmt: skip
     for name, faces in (("mesh", 1), ("cloud", 0)):
         head = f"ply\nformat ascii 1.0\n{comments}element vertex 3\n{ends.format(faces)}"
-        write(tmp_path / name, "mug/a.ply", content=head.encode() + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+        write(
+            tmp_path / name, "mug/a.ply", content=head.encode() + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+        )
     monkeypatch.setattr("renderers.sources.files.Directory.read", lambda *_: pytest.fail("read"))
     assert open_source(tmp_path / "mesh").describe()["name"] == "folder"
     assert open_source(tmp_path / "cloud").describe()["name"] == "custom-clouds"

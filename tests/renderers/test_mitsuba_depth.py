@@ -21,8 +21,8 @@ from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera, fit_ball, sample_pose
 from renderers import mitsuba_depth
 from renderers.mitsuba_depth import NOTHING_SEEN, MitsubaOccluder, back_project
-from renderers.sources.mesh import normalise
 from renderers.sources.folder import MeshFolder
+from renderers.sources.mesh import normalise
 from renderers.variants import SUPPORTED, pick_variant
 from tests.renderers.raycaster import Cast, cast
 

@@ -58,7 +58,7 @@ def test_every_row_arrives_in_order(tmp_path: Path, rng: np.random.Generator) ->
 
 def test_few_labels_may_be_of_either_data_set(tmp_path: Path, rng: np.random.Generator) -> None:
     released(tmp_path, rng, classes=15)
-    with pytest.raises(InputError, match="all labels are below 15.* say which with --data-set"):
+    with pytest.raises(InputError, match=r"all labels are below 15.* say which with --data-set"):
         import_release(tmp_path, tmp_path / "out")
     for data_set, classes in (("ps15", 15), ("pm40", 40)):
         manifest = import_release(tmp_path, tmp_path / data_set, data_set)

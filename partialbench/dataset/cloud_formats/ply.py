@@ -69,7 +69,9 @@ def _binary(content: bytes, header: PlyHeader, at: int) -> dict[str, NDArray]:
 
     vertex = header.elements[at]
     start = header.size + sum(
-        element.count * layout(element).itemsize for element in header.elements[:at] if element.count
+        element.count * layout(element).itemsize
+        for element in header.elements[:at]
+        if element.count
     )
     size = layout(vertex).itemsize
     if len(content) - start < vertex.count * size:
@@ -81,9 +83,7 @@ def _binary(content: bytes, header: PlyHeader, at: int) -> dict[str, NDArray]:
     if not any(p.length_dtype for e in behind for p in e.properties):
         end = start + vertex.count * size + sum(e.count * layout(e).itemsize for e in behind)
         if len(content) != end and content[end:].strip(b"\r\n\0 "):
-            raise InputError(
-                f"{len(content) - end} bytes follow the rows that the PLY header says"
-            )
+            raise InputError(f"{len(content) - end} bytes follow the rows that the PLY header says")
         if len(content) < end:
             raise InputError(f"the PLY was cut short by {end - len(content)} bytes")
     rows = np.frombuffer(content, layout(vertex), vertex.count, start)

@@ -28,6 +28,8 @@ NUMBER = re.compile(
 )
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?", re.ASCII)
 _ZERO_AHEAD = re.compile(r"(?:^|,)[ \t]*(?:[+-]?0\d+|-0)[ \t]*(?:,|$)", re.ASCII)
+# NumPy takes these for white space.
+_NO_TEXT = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\xa0\u1680\u2000-\u200f\u2028-\u202f\u205f\u3000]")
 _COMMENT = ("#", "//", "%")
 _HEADER_LINES = 20
 """So many lines without numbers may stand above the table."""
@@ -145,7 +147,7 @@ def _is_row(text: str) -> bool:
 
 
 def _separator(lines: list[_Line]) -> str:
-    """";", ",", or "" for white space: what stands between the cells of every line."""
+    """ ";", ",", or "" for white space: what stands between the cells of every line."""
     # Of a header's prose the commas say nothing.
     rows = [line for line in lines if re.match(r"[+-]?[.\d]|[+-]?(?:nan|inf)", line.text, re.I)]
     body = rows or lines
@@ -201,6 +203,8 @@ def _numbers(lines: list[_Line], separator: str) -> NDArray[np.float64]:
     """The table, (n,c) float64."""
     closed = bool(separator) and all(line.text.endswith(separator) for line in lines)
     texts = [line.text[:-1] if closed else line.text for line in lines]
+    if odd := _NO_TEXT.search("\n".join(texts)):
+        raise InputError(f"has the sign {odd[0]!r} among its numbers: it is damaged, or no text")
     try:
         return np.loadtxt(texts, ndmin=2, delimiter=separator or None, comments=None)
     except ValueError:
