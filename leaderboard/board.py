@@ -191,9 +191,9 @@ def protocol_title(result: Result) -> str:
 
 
 def _reported(result: Result) -> str:
-    """The paper's own name of the pair, where both are its own data; "" beside any other."""
+    """The paper's own name of the pair, by kind of data: its PM40 is our pm40 in every source."""
     data = (result.train_data, result.test_data)
-    ids = [d.id for d in data]
+    ids = [d.id.partition("-")[0] for d in data]
     if not set(ids) <= {"pm40", "ps15"} or any(d.setting != "partial" for d in data):
         return ""
     return ids[0] if ids[0] == ids[1] else ">".join(ids)
