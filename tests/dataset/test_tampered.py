@@ -1,4 +1,4 @@
-"""Whatever is done to a data folder, ``verify`` says it in a sentence; no reader of it falls over."""
+"""Whatever is done to a data folder, ``verify`` says it in a sentence and falls over nothing."""
 
 from __future__ import annotations
 
@@ -117,7 +117,9 @@ def test_a_manifest_of_another_kind_is_an_error(folder, change, message):
             data["dataset_id"], data["configuration"], data["class_names"]
         ).configuration_digest
     path.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=rf"manifest\.json (is damaged|was edited).*{message}|damaged"):
+    with pytest.raises(
+        InputError, match=rf"manifest\.json (is damaged|was edited).*{message}|damaged"
+    ):
         verify(folder)
 
 
