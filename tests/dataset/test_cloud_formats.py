@@ -52,6 +52,7 @@ ROWS = "0.5 0.6 0.7\n0.25 0.125 1\n"
         ("# nothing\n", "no line of numbers"),
         ("nan nan nan\n" + ROWS, "1 of 3 points are not finite"),
         ("1_0 2 3\n", "'1_0' is no number"),
+        ("1 2 3#4.5\n", "'3#4.5' is no number"),
     ],
 )
 def test_text_that_may_be_read_two_ways_is_refused(content: str, message: str) -> None:

@@ -123,7 +123,8 @@ def _table_lines(text: str) -> tuple[list[_Line], list[_Line]]:
             if not lines:
                 comments.append(_Line(number, bare.lstrip("#/% \t")))
             continue
-        bare = bare.partition("#")[0].rstrip(" \t")
+        if "#" in bare:  # a comment behind numbers, not a sign within one
+            bare = re.split(r"[ \t]#", bare, maxsplit=1)[0].rstrip(" \t")
         if bare:
             lines.append(_Line(number, bare))
     return lines, comments
