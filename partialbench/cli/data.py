@@ -163,7 +163,7 @@ def render(
         on_scene=listed,
         setting=setting.value,
         views=views,
-        splits=tuple(dict.fromkeys(split)) if split else None,
+        splits=tuple(split) if split else None,
         objects_per_class=objects_per_class,
         points=points,
         min_visible=min_visible,

@@ -119,7 +119,8 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
-                 "location": printable(ref.location), "reason": view.reason, "details": view.details}
+                 "location": printable(ref.location), "reason": view.reason,
+                 "details": view.details}
             )  # fmt: skip
             continue
         chosen = draw(len(view.points), job.points, generator(job.seed, *key, v, "draw"))
