@@ -194,8 +194,8 @@ def test_eval_predict_and_leaderboard_form_a_chain(rendered, tmp_path):
     assert "my_model:make" in (tmp_path / "board" / "leaderboard.md").read_text()
     (checkpoint,) = (tmp_path / "results" / "runs").rglob("checkpoint.pt")
     np.save(tmp_path / "capture.npy", np.random.default_rng(0).normal(size=(100, 3)))
-    run = partialbench("predict", "capture.npy", "--checkpoint", checkpoint, "--json", "--model", "my_model:make",
-                       cwd=tmp_path, check=0)  # fmt: skip
+    run = partialbench("predict", "capture.npy", "--checkpoint", checkpoint, "--json",
+                       "--model", "my_model:make", cwd=tmp_path, check=0)  # fmt: skip
     assert json.loads(run.stdout)["class"] in ("crate", "tin")
 
 
