@@ -20,7 +20,7 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.records.trials import FILE, Trial, read_trials
-from partialbench.benchmark.variant import describe_changes
+from partialbench.benchmark.variant import describe_changes, pairs_text
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
@@ -229,7 +229,7 @@ class Ledger:
         batch = json.loads(self.recipe_of(job))["batch_size"]
         return (
             job.model, describe_changes({}, json.loads(job.options), None, job.precision),
-            describe_changes(changes, {}), job.seed, train, self._protocol.digest,
+            pairs_text(changes), job.seed, train, self._protocol.digest,
             job.clouds // batch * batch,
         )  # fmt: skip
 

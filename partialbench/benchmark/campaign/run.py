@@ -186,6 +186,12 @@ class _Runner:
         self._write_running()
         answer = future.result()
         if answer["outcome"] == DONE:
+            if not Ledger(self.campaign).is_done(job):
+                # Or it would be begun again for ever.
+                raise PartialbenchError(
+                    f"{job.title} says it is done, but {self.campaign.results} has no record of "
+                    f"it; its data may have been rendered anew meanwhile"
+                )
             self.say(f"done: {job.title}")
             return False
         if answer["outcome"] == STOPPED:
