@@ -99,7 +99,7 @@ def test_all_that_is_missing_is_done_the_lowest_milestone_first(campaign, in_thi
 
 
 def test_hours_to_go_come_from_recorded_speeds(campaign, in_this_process):
-    running.run(campaign, jobs=1, only="*Bare")
+    running.run(campaign, jobs=1, only=["*Bare"])
     left = status(campaign)
     assert {job.model for job in left.missing} == {f"{MODELS}:Posed"}
     assert left.without_speed == 2

@@ -12,14 +12,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from fnmatch import fnmatchcase
 
 from partialbench import registry
 from partialbench.benchmark.campaign import jobs as job_files
 from partialbench.benchmark.campaign.file import Campaign, DataSet
-from partialbench.benchmark.campaign.jobs import FAILURES, Job
+from partialbench.benchmark.campaign.jobs import FAILURES, Job, Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
 from partialbench.benchmark.campaign.worker import DIVERGED, DONE, STOPPED, run_in_process
 from partialbench.benchmark.records.results import file_name
@@ -42,7 +42,7 @@ def run(
     *,
     jobs: int | None = None,
     device: str = "auto",
-    only: str | None = None,
+    only: Sequence[str] = (),
     time_limit_s: float | None = None,
     scheduler: str | None = None,
     retry_failed: bool = False,
@@ -52,7 +52,8 @@ def run(
 
     Args:
         jobs: how many side by side; by default one a core, on CUDA one.
-        only: a pattern of model names, "papnet*", or of model and data set, "papnet*@clouds".
+        only: patterns of model names, "papnet*", or of model and data set, "papnet*@clouds"; all
+            without one.
         time_limit_s: after so long every training saves its state and the campaign ends.
         scheduler: of a Dask cluster whose workers see the same folders; ``jobs`` is then by default
             as many as it has threads.
@@ -94,7 +95,7 @@ class _Runner:
     """One run of a campaign: what is running, and where it is told to stop."""
 
     def __init__(
-        self, campaign: Campaign, device: str, only: str | None, deadline: float | None,
+        self, campaign: Campaign, device: str, only: Sequence[str], deadline: float | None,
         say: Callable[[str], None],
     ) -> None:  # fmt: skip
         self.campaign, self.device, self.only = campaign, device, only
@@ -103,10 +104,9 @@ class _Runner:
         self.running: dict[Future, Job] = {}
 
     def wanted(self, job: Job) -> bool:
-        if self.only is None:
-            return True
-        pattern = self.only if "@" in self.only else f"{self.only}@*"
-        return fnmatchcase(f"{job.model}@{job.data}", pattern)
+        name = f"{job.model}@{job.data}"
+        patterns = [each if "@" in each else f"{each}@*" for each in self.only]
+        return not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
 
     def render(self, workers: int, scheduler: str | None) -> None:
         """Makes the data sets that some missing job needs, one after the other."""
