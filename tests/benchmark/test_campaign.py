@@ -46,7 +46,6 @@ data = "toy"
 clouds = 64
 test = "other"
 points = 32
-poses = "0"
 
 [[tune]]
 models = "{MODELS}:Bare"
@@ -91,7 +90,7 @@ def test_all_that_is_missing_is_done_the_lowest_milestone_first(campaign, in_thi
     ]  # fmt: skip
     assert (len(after.done), after.missing, after.hours) == (5, [], 0.0)
     records = results.read_folder(campaign.results)
-    assert len(records) == 3 + 6  # 64 clouds of Posed: two sets, each whole, on fewer points, posed
+    assert len(records) == 3 + 4  # 64 clouds of Posed: two sets, each whole and on fewer points
     assert not (campaign.work / "running.json").exists()
     in_this_process.clear()
     running.run(campaign, jobs=1)
@@ -198,7 +197,7 @@ def test_processes_end_with_the_same_answers_however_they_ran(campaign, in_this_
     else:
         assert start("--jobs", "2").wait() == 0
     for folder in (campaign.results, other / "records"):
-        assert len(results.read_folder(folder)) == 9
+        assert len(results.read_folder(folder)) == 7
     for record in results.read_folder(campaign.results):
         again = results.read(other / "records" / f"{record.run_name}{results.SUFFIX}")
         assert again.predictions_sha256 == record.predictions_sha256

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from partialbench.benchmark.campaign.file import Campaign, DataSet, Entry, card_of
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results
@@ -75,7 +76,7 @@ class Job:
         )
         row = results.with_changes(self.model, changes)
         trial = " (trial)" if self.kind == "tune" else ""
-        return f"{row} on {self.data}, seed {self.seed}, {self.clouds / 1000:g}k{trial}"
+        return f"{row} on {self.data}, seed {self.seed}, {milestones.name(self.clouds)}{trial}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data."""

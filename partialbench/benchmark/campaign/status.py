@@ -11,6 +11,7 @@ from typing import Any
 
 from partialbench.benchmark.campaign.file import Campaign
 from partialbench.benchmark.campaign.jobs import Job, Ledger, all_jobs
+from partialbench.benchmark.protocol import milestones
 
 RUNNING = "running.json"
 MOST_NOTES = 3
@@ -63,7 +64,7 @@ class Status:
                     here = [job for job in jobs if (job.data, job.clouds) == (data, clouds)]
                     share = sum(job in finished for job in here)
                     lines.append(
-                        f"{heading:10} {data:24} {clouds / 1000:>6g}k   {share:>4} of {len(here)}"
+                        f"{heading:10} {data:24} {milestones.name(clouds):>7}   {share:>4} of {len(here)}"
                     )
         lines += [f"running    {job.title}" for job in self.running]
         lines += [f"failed     {job.title}" for job in self.failed]
