@@ -41,8 +41,8 @@ def full_precision(values: Tensor) -> Tensor:
     return values.to(torch.promote_types(values.dtype, torch.float32))
 
 
-def normalise(points: Tensor) -> Tensor:
-    """Subtracts each cloud's mean point and scales its largest norm to ``RADIUS``.
+def normalise(points: Tensor, radius: float = RADIUS) -> Tensor:
+    """Subtracts each cloud's mean point and scales its largest norm to ``radius``.
 
     Args:
         points: (B,N,3) floating, any frame and unit.
@@ -64,7 +64,7 @@ def normalise(points: Tensor) -> Tensor:
     points = full_precision(points)
     centred = (points.double() - points.double().mean(dim=1, keepdim=True)).to(points.dtype)
     largest = torch.linalg.vector_norm(centred, dim=-1).amax(dim=1)
-    return centred * (RADIUS / largest.clamp_min(1e-12))[:, None, None]
+    return centred * (radius / largest.clamp_min(1e-12))[:, None, None]
 
 
 @_geometry

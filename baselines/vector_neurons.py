@@ -26,9 +26,9 @@ EPS = 1e-6
 WORKING_SET = 8
 """How many arrays of a chunk's vectors the nonlinearity has at a time; they share the cache."""
 
-Values = tuple[Tensor, Tensor | None, Tensor | None]
-"""What a linear layer makes of points (3,P,C), of centres (3,Q,C), and its weights (C,) of the cross
-product; of points alone the other two are None."""
+Values = tuple[Tensor, Tensor | None]
+"""What a linear layer's values are made of: of points (3,P,C) alone; of edges, of points and of
+centres (3,Q,C); of edges between positions, its weights (m,C) for the vectors of an edge."""
 
 
 class Edges:
@@ -36,70 +36,77 @@ class Edges:
 
     Attributes:
         index: (Q,k) point of each edge, among all clouds' points in one row.
-        cross: (3,Q,k) x_j × x_i, for layers that take it as a third vector, or None.
+        vectors: (3,Q,k,m) of edges between positions, else None.
     """
 
-    def __init__(self, index: Tensor, positions: Tensor | None = None) -> None:
-        """``index`` (B,N,k) neighbours; ``positions`` (B,N,3) if x_j × x_i is wanted."""
+    def __init__(self, index: Tensor, vectors: Tensor | None = None) -> None:
         self.index = flat_index(index, index.shape[1]).flatten(0, 1)
-        self.cross = None
-        if positions is not None:
-            x = full_precision(positions.detach()).flatten(0, 1)
-            cross = torch.linalg.cross(x[self.index], x[:, None], dim=-1)
-            self.cross = cross.permute(2, 0, 1).contiguous()
+        self.vectors = vectors
+
+
+def position_edges(points: Tensor, index: Tensor, cross: bool = False) -> Edges:
+    """Edges with the vectors x_j − x_i and x_i, or x_j × x_i as a third; no gradient.
+
+    Of positions the difference is taken before the layer: after it, the digits would be lost in
+    which near points differ.
+
+    Args:
+        points: (B,N,3).
+        index: (B,N,k) neighbours.
+    """
+    edges = Edges(index)
+    x = full_precision(points.detach()).flatten(0, 1)
+    neighbour = x[edges.index]
+    centre = x[:, None].expand_as(neighbour)
+    vectors = [neighbour - centre, centre]
+    vectors += [torch.linalg.cross(neighbour, centre, dim=-1)] if cross else []
+    edges.vectors = torch.stack(vectors, dim=-1).permute(2, 0, 1, 3).contiguous()
+    return edges
 
 
 class _Layer:
-    """The values of a linear layer on rows: of points (P,C), or of edges by ``Edges``.
+    """A linear layer's values on points (P) or edges (Q of k), a few rows at a time."""
 
-    ``point`` (3,P,C) is the value of a point; of an edge, point_j + centre_i + cross_ij·weight.
-    """
-
-    def __init__(
-        self, point: Tensor, centre: Tensor | None, weight: Tensor | None, edges: Edges | None
-    ) -> None:
-        self.point, self.centre, self.weight, self.edges = point, centre, weight, edges
+    def __init__(self, values: Values, edges: Edges | None) -> None:
+        self.first, self.centre = values
+        self.edges = edges
 
     def parts(self, channels: int) -> list[slice]:
-        rows = self.point.shape[1] if self.edges is None else len(self.edges.index)
+        rows = self.first.shape[1] if self.edges is None else len(self.edges.index)
         each = 1 if self.edges is None else self.edges.index.shape[1]
-        return chunks(rows, WORKING_SET * 3 * each * channels, self.point.device)
+        return chunks(rows, WORKING_SET * 3 * each * channels, self.first.device)
 
     def values(self, part: slice) -> Tensor:
-        """(3,q,k,C) values of the edges of some centres; (3,q,1,C) of points."""
+        """(3,q,k,C) of the edges of some centres; (3,q,1,C) of points."""
         if self.edges is None:
-            return self.point[:, part, None]
-        index = self.edges.index[part]
-        y = self.point.index_select(1, index.flatten()).unflatten(1, index.shape)
+            return self.first[:, part, None]
+        if self.edges.vectors is not None:
+            return self.edges.vectors[:, part] @ self.first
         assert self.centre is not None
-        y += self.centre[:, part, None]
-        if self.weight is not None:
-            assert self.edges.cross is not None
-            y.addcmul_(self.edges.cross[:, part, :, None], self.weight)
-        return y
+        index = self.edges.index[part]
+        y = self.first.index_select(1, index.flatten()).unflatten(1, index.shape)
+        return y.add_(self.centre[:, part, None])
 
-    def gradients(self) -> Values:
-        """Zeros to add to."""
+    def zeros(self) -> Values:
+        """Gradients to add to."""
         return (
-            torch.zeros_like(self.point),
+            torch.zeros_like(self.first),
             None if self.centre is None else torch.zeros_like(self.centre),
-            None if self.weight is None else torch.zeros_like(self.weight),
         )
 
     def add(self, to: Values, d_y: Tensor, part: slice) -> None:
         """Adds the gradient d_y (3,q,k,C) of ``values(part)`` to that of what it is made of."""
-        d_point, d_centre, d_weight = to
+        d_first, d_centre = to
         if self.edges is None:
-            d_point[:, part] += d_y[:, :, 0]
-            return
-        flat = self.edges.index[part].flatten()
-        for axis in range(3):
-            d_point[axis].index_add_(0, flat, d_y[axis].flatten(0, 1))
-        assert d_centre is not None
-        d_centre[:, part] += d_y.sum(dim=2)
-        if d_weight is not None:
-            assert self.edges.cross is not None
-            d_weight += self.edges.cross[:, part].flatten() @ d_y.flatten(0, 2)
+            d_first[:, part] += d_y[:, :, 0]
+        elif self.edges.vectors is not None:
+            d_first.addmm_(self.edges.vectors[:, part].flatten(0, 2).T, d_y.flatten(0, 2))
+        else:
+            assert d_centre is not None
+            flat = self.edges.index[part].flatten()
+            for axis in range(3):
+                d_first[axis].index_add_(0, flat, d_y[axis].flatten(0, 1))
+            d_centre[:, part] += d_y.sum(dim=2)
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:
@@ -113,11 +120,11 @@ class _LengthMoments(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, q: Tensor, centre: Tensor | None, weight: Tensor | None, edges: Edges | None
+        ctx: Any, q: Tensor, q_centre: Tensor | None, edges: Edges | None
     ) -> tuple[Tensor, Tensor]:
-        ctx.save_for_backward(q, centre, weight)
+        ctx.save_for_backward(q, q_centre)
         ctx.edges = edges
-        layer = _Layer(q, centre, weight, edges)
+        layer = _Layer((q, q_centre), edges)
         channels = q.shape[-1]
         count, mean = 0, q.new_zeros(channels)
         square = q.new_zeros(channels)
@@ -136,9 +143,9 @@ class _LengthMoments(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_mean: Tensor, d_var: Tensor) -> tuple[Tensor | None, ...]:
-        q, centre, weight = ctx.saved_tensors
-        layer = _Layer(q, centre, weight, ctx.edges)
-        to = layer.gradients()
+        q, q_centre = ctx.saved_tensors
+        layer = _Layer((q, q_centre), ctx.edges)
+        to = layer.zeros()
         d_mean, d_var = d_mean / ctx.count, 2 * d_var / ctx.count
         offset = d_mean - d_var * ctx.mean
         for part in layer.parts(len(d_mean)):
@@ -163,18 +170,16 @@ class _Nonlinearity(torch.autograd.Function):
         ctx: Any,
         q: Tensor,
         q_centre: Tensor | None,
-        q_weight: Tensor | None,
         d: Tensor,
         d_centre: Tensor | None,
-        d_weight: Tensor | None,
         scale: Tensor,
         shift: Tensor,
         edges: Edges | None,
         kappa: float,
     ) -> Tensor:
-        ctx.save_for_backward(q, q_centre, q_weight, d, d_centre, d_weight, scale, shift)
+        ctx.save_for_backward(q, q_centre, d, d_centre, scale, shift)
         ctx.edges, ctx.kappa = edges, kappa
-        along, across = _Layer(q, q_centre, q_weight, edges), _Layer(d, d_centre, d_weight, edges)
+        along, across = _Layer((q, q_centre), edges), _Layer((d, d_centre), edges)
         rows = q.shape[1] if edges is None else len(edges.index)
         out = q.new_zeros(3, rows, len(scale))
         for part in along.parts(len(scale)):
@@ -190,10 +195,10 @@ class _Nonlinearity(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_out: Tensor) -> tuple[Tensor | None, ...]:
-        q, q_centre, q_weight, d, d_centre, d_weight, scale, shift = ctx.saved_tensors
+        q, q_centre, d, d_centre, scale, shift = ctx.saved_tensors
         edges, kappa = ctx.edges, ctx.kappa
-        along, across = _Layer(q, q_centre, q_weight, edges), _Layer(d, d_centre, d_weight, edges)
-        to_along, to_across = along.gradients(), across.gradients()
+        along, across = _Layer((q, q_centre), edges), _Layer((d, d_centre), edges)
+        to_along, to_across = along.zeros(), across.zeros()
         d_scale, d_shift = torch.zeros_like(scale), torch.zeros_like(shift)
         d_out = d_out / (1 if edges is None else edges.index.shape[1])
         for part in along.parts(len(scale)):
@@ -230,11 +235,19 @@ def as_vectors(points: Tensor) -> Tensor:
 def vector_knn(v: Tensor, k: int) -> Tensor:
     """(3,B,N,C) → (B,N,k): each point's k nearest by all 3·C numbers, itself included."""
     flat = v.detach().permute(1, 2, 3, 0).flatten(2)
-    if flat.shape[-1] > 4:
-        # Distances by a matrix product lose the digits of what all points have in common.
-        flat = full_precision(flat)
-        flat = flat - flat.mean(dim=1, keepdim=True)
-    return knn(flat, k)
+    # In float32 the distances of features, by a matrix product, lose the digits that tell near
+    # neighbours apart: turned clouds would choose others.
+    return knn(flat.double() if flat.shape[-1] > 4 else flat, k)
+
+
+class VectorLinear(nn.Linear):
+    """Mixes vectors, (3,…,C) → (3,…,C_out), in their precision or its weights', the higher one."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(inputs, outputs, bias=False)
+
+    def forward(self, v: Tensor) -> Tensor:
+        return F.linear(v, self.weight.to(torch.promote_types(v.dtype, self.weight.dtype)))
 
 
 class VectorBatchNorm(nn.Module):
@@ -250,7 +263,9 @@ class VectorBatchNorm(nn.Module):
             square = v[0].square() + v[1].square() + v[2].square()
             # The root has no slope at 0.
             length = torch.where(square > 0, square.clamp_min(1e-30).sqrt(), 0.0) + EPS
-            return v * (self.norm(length.flatten(0, -2)).view_as(length) / length)
+            return v * (
+                self.norm(length.flatten(0, -2).to(self.norm.weight.dtype)).view_as(length) / length
+            )
 
 
 class VectorReLU(Normed):
@@ -275,19 +290,26 @@ class VectorReLU(Normed):
             context: (3,B,1,C') of each cloud, as if appended to every point's vectors.
         """
         mine = v.shape[-1]
-        y = [F.linear(v, layer.weight[:, :mine]) for layer in (self.linear, self.direction)]
-        if context is not None:
-            rest = [layer.weight[:, mine:] for layer in (self.linear, self.direction)]
-            y = [a + F.linear(context, weight) for a, weight in zip(y, rest, strict=True)]
-        q, d = (full_precision(a).flatten(1, -2) for a in y)
-        return self._activated((q, None, None), (d, None, None), None).unflatten(1, v.shape[1:-1])
+        y = []
+        for weight in self._weights(v.dtype):
+            value = F.linear(v, weight[:, :mine])
+            if context is not None:
+                value = value + F.linear(context, weight[:, mine:])
+            y.append(full_precision(value).flatten(1, -2))
+        q, d = y
+        return self._activated((q, None), (d, None), None).unflatten(1, v.shape[1:-1])
+
+    def _weights(self, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+        """W and U in the precision of the vectors, if it is higher."""
+        dtype = torch.promote_types(dtype, self.linear.weight.dtype)
+        return self.linear.weight.to(dtype), self.direction.weight.to(dtype)
 
     def _activated(self, q: Values, d: Values, edges: Edges | None) -> Tensor:
         """The values that W and U make → (3,Q,C)."""
         with torch.autocast(q[0].device.type, enabled=False):
             moments = _LengthMoments.apply(*q, edges) if self.norm.training else None
             count = q[0].shape[1] if edges is None else edges.index.numel()
-            scale, shift = self.scale_and_shift(moments, count)
+            scale, shift = (x.to(q[0].dtype) for x in self.scale_and_shift(moments, count))
             return _Nonlinearity.apply(*q, *d, scale, shift, edges, 1 - self.slope)
 
 
@@ -304,18 +326,17 @@ class VectorEdgeConv(VectorReLU):
         super().__init__(3 if cross else 2 * inputs, outputs, slope)
 
     def forward(self, v: Tensor, edges: Edges) -> Tensor:  # type: ignore[override]
-        """(3,B,N,C) → (3,B,N,C_out). The cross product carries no gradient to positions."""
+        """(3,B,N,C) → (3,B,N,C_out); of ``position_edges`` only the shape of v counts."""
         n = v.shape[-1]
         made: list[Values] = []
-        for layer in (self.linear, self.direction):
-            relative, own = layer.weight[:, :n], layer.weight[:, n : 2 * n]
-            point, centre = F.linear(v, relative), F.linear(v, own - relative)
-            weight = layer.weight[:, 2] if edges.cross is not None else None
-            made.append((
-                full_precision(point).flatten(1, 2),
-                full_precision(centre).flatten(1, 2),
-                weight,
-            ))  # fmt: skip
+        for weight in self._weights(v.dtype):
+            if edges.vectors is not None:
+                made.append((weight.T, None))
+                continue
+            relative, own = weight[:, :n], weight[:, n:]
+            values = F.linear(v, relative), F.linear(v, own - relative)
+            point, centre = (full_precision(value).flatten(1, 2) for value in values)
+            made.append((point, centre))
         q, d = made
         return self._activated(q, d, edges).unflatten(1, v.shape[1:3])
 
@@ -334,7 +355,7 @@ class VectorFrame(nn.Module):
                 VectorReLU(channels // 2, channels // 4, slope),
             ]
         )
-        self.last = nn.Linear(channels // 4, 3, bias=False)
+        self.last = VectorLinear(channels // 4, 3)
 
     def forward(self, v: Tensor, context: Tensor) -> Tensor:
         """(3,B,N,C'), (3,B,1,C − C') of the cloud → frame (3,B,N,3)."""

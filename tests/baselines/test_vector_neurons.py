@@ -17,6 +17,7 @@ from baselines.vector_neurons import (
     VectorReLU,
     as_vectors,
     in_frame,
+    position_edges,
 )
 from partialbench.geometry.rotations import haar_rotations
 
@@ -71,22 +72,22 @@ def test_a_layer_of_points_is_as_defined(training: bool, shared: bool) -> None:
 
 
 @pytest.mark.parametrize("training", [True, False])
-@pytest.mark.parametrize("cross", [False, True])
-def test_a_layer_of_edges_is_as_defined(training: bool, cross: bool) -> None:
-    channels = 1 if cross else 4
+@pytest.mark.parametrize(("positions", "cross"), [(False, False), (True, False), (True, True)])
+def test_a_layer_of_edges_is_as_defined(training: bool, positions: bool, cross: bool) -> None:
+    channels = 1 if positions else 4
     layer = VectorEdgeConv(channels, 6, 0.0, cross).double().train(training)
     norm = twin(layer)
     v = features(channels)
     index = knn(v.flatten(2), 7)
-    edges = Edges(index, v[..., 0] if cross else None)
-    v.requires_grad_(not cross)
+    edges = position_edges(v[..., 0], index, cross) if positions else Edges(index)
+    v.requires_grad_(not positions)
     neighbour = gather(v.flatten(2), index).unflatten(-1, v.shape[2:])
     centre = v[:, :, None].expand_as(neighbour)
     parts = [neighbour - centre, centre]
     parts += [torch.linalg.cross(neighbour, centre, dim=-2)] if cross else []
     theirs = by_definition(layer, torch.cat(parts, dim=-1), norm).mean(dim=2)
     ours = layer(v.permute(2, 0, 1, 3), edges).permute(1, 2, 0, 3)
-    agree(layer, ours, theirs, [] if cross else [v])
+    agree(layer, ours, theirs, [] if positions else [v])
     torch.testing.assert_close(layer.norm.running_mean, norm.running_mean)
     torch.testing.assert_close(layer.norm.running_var, norm.running_var)
 
@@ -94,7 +95,7 @@ def test_a_layer_of_edges_is_as_defined(training: bool, cross: bool) -> None:
 def test_chunks_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     layer = VectorEdgeConv(1, 6, 0.2, cross=True).double()
     points = features(1)[..., 0]
-    edges = Edges(knn(points, 7), points)
+    edges = position_edges(points, knn(points, 7), cross=True)
     whole = layer(as_vectors(points), edges)
     whole.square().sum().backward()
     gradient = layer.linear.weight.grad
@@ -118,7 +119,7 @@ def test_vectors_turn_and_their_products_do_not(rng: np.random.Generator) -> Non
     R = torch.from_numpy(haar_rotations(rng, 1)[0])
     results = []
     for p in (points, points @ R.T):
-        v = norm(conv(as_vectors(p), Edges(knn(p, 7), p)))
+        v = norm(conv(as_vectors(p), position_edges(p, knn(p, 7), cross=True)))
         mean = v.mean(dim=2, keepdim=True)
         f = frame(v, mean)
         results.append((v, f, in_frame(v, f)))
@@ -135,7 +136,7 @@ def test_vectors_of_no_length_have_finite_gradients() -> None:
     points = torch.zeros(1, 12, 3)
     points[:, 6:] = torch.randn(1, 6, 3)
     conv, norm = VectorEdgeConv(1, 4, 0.0, cross=True), VectorBatchNorm(4)
-    out = norm(conv(as_vectors(points), Edges(knn(points, 5), points)))
+    out = norm(conv(as_vectors(points), position_edges(points, knn(points, 5), cross=True)))
     out.square().sum().backward()
     for parameter in conv.parameters():
         assert parameter.grad is not None

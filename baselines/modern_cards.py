@@ -1,0 +1,34 @@
+"""The model cards of the rotation-robust models since the paper. Literal data; loads no torch."""
+
+from __future__ import annotations
+
+from partialbench.registry import ModelCard
+
+POINTS = "pc (1024×3)"
+
+CARDS: tuple[ModelCard, ...] = (
+    ModelCard(
+        name="vn-pointnet",
+        entry="baselines.vn_pointnet:VNPointNet",
+        title="VN-PointNet",
+        paper="Deng et al., Vector Neurons, ICCV 2021",
+        reference="FlyingGiraffe/vnn@f3197e2",
+        reference_licence="MIT",
+        representation=POINTS,
+        invariances=frozenset({"permutation", "rotation"}),
+        parameters={40: 1_972_745, 15: 1_966_320},
+        published="baselines.vn_pointnet:from_published",
+    ),
+    ModelCard(
+        name="vn-dgcnn",
+        entry="baselines.vn_dgcnn:VNDGCNN",
+        title="VN-DGCNN",
+        paper="Deng et al., Vector Neurons, ICCV 2021",
+        reference="FlyingGiraffe/vnn@f3197e2",
+        reference_licence="MIT",
+        representation=POINTS,
+        invariances=frozenset({"permutation", "rotation"}),
+        parameters={40: 2_899_830, 15: 2_893_405},
+        published="baselines.vn_dgcnn:from_published",
+    ),
+)
