@@ -8,6 +8,19 @@ POINTS = "pc (1024×3)"
 
 CARDS: tuple[ModelCard, ...] = (
     ModelCard(
+        name="riconv2",
+        entry="baselines.riconv2:RIConv2",
+        title="RIConv++",
+        paper="Zhang et al., RIConv++, IJCV 2022",
+        reference="cszyzhang/riconv2@70d9297",
+        reference_licence="MIT",
+        representation=POINTS,
+        invariances=frozenset({"permutation", "rotation"}),
+        parameters={40: 423_656, 15: 420_431},
+        published="baselines.riconv2:from_published",
+        published_options={"quirks": "start+ring"},
+    ),
+    ModelCard(
         name="vn-pointnet",
         entry="baselines.vn_pointnet:VNPointNet",
         title="VN-PointNet",

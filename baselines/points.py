@@ -111,7 +111,9 @@ def knn(points: Tensor, k: int) -> Tensor:
 
 
 @_geometry
-def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> Tensor:
+def farthest_points(
+    points: Tensor, count: int, start: Tensor | None = None, repeat: bool = True
+) -> Tensor:
     """Farthest point sampling: indices (B,count) of points each farthest from those before it.
 
     The sampling of the first m picks, started at the first, picks them in the same order: a
@@ -122,6 +124,8 @@ def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> 
         count: how many; beyond the number of distinct points the start is repeated or index 0.
         start: (B,) first index of each cloud; by default 0, as the published implementations have
             it in evaluation.
+        repeat: without, no index is chosen twice and points that coincide come last; ``count`` is
+            then at most N.
     """
     batch, number, _ = points.shape
     planes = full_precision(points).mT.contiguous()
@@ -132,6 +136,8 @@ def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> 
     for step in range(1, count):
         pick = planes.gather(2, last[:, None, None].expand(-1, 3, 1))
         torch.minimum(nearest, (planes - pick).square_().sum(dim=1), out=nearest)
+        if not repeat:
+            nearest.scatter_(1, last[:, None], -1)
         last = nearest.argmax(dim=1)
         chosen[:, step] = last
     return chosen

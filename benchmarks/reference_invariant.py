@@ -7,6 +7,7 @@ returns logits (B,K). Source: modern cards; layouts as in FlyingGiraffe/vnn@f319
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -24,6 +25,14 @@ def at(x: Tensor, index: Tensor) -> Tensor:
     """(B,N,C) at (B,…) → (B,…,C)."""
     batch = torch.arange(len(x), device=x.device)
     return x[batch.view(-1, *[1] * (index.ndim - 1)).expand_as(index), index]
+
+
+def fc_head(*channels: int, dropout: float) -> nn.Sequential:
+    *hidden, outputs = channels
+    layers: list[nn.Module] = []
+    for a, b in pairwise(hidden):
+        layers += [nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU(), nn.Dropout(dropout)]
+    return nn.Sequential(*layers, nn.Linear(hidden[-1], outputs))
 
 
 class VectorNorm(nn.Module):
@@ -138,7 +147,124 @@ class VNPointNet(nn.Module):
         return self.head(self.frame(v).max(dim=-1).values)
 
 
+def unit(v: Tensor) -> Tensor:
+    return torch.nan_to_num(v / torch.norm(v, dim=-1, keepdim=True))
+
+
+@torch.no_grad()
+def sample(points: Tensor, count: int) -> Tensor:
+    """Farthest point sampling from index 0."""
+    chosen = torch.zeros(len(points), count, dtype=torch.long, device=points.device)
+    rows, last = torch.arange(len(points), device=points.device), chosen[:, 0]
+    distance = torch.full(points.shape[:2], 1e10, device=points.device, dtype=points.dtype)
+    for i in range(count):
+        chosen[:, i] = last
+        square = ((points - points[rows, last][:, None]) ** 2).sum(dim=-1)
+        distance = torch.minimum(distance, square)
+        last = distance.max(dim=-1).indices
+    return chosen
+
+
+def square_distance(a: Tensor, b: Tensor) -> Tensor:
+    square = (a**2).sum(dim=-1)[:, :, None] + (b**2).sum(dim=-1)[:, None]
+    return square - 2 * a @ b.mT
+
+
+def reference_axes(relative: Tensor) -> Tensor:
+    """(…,n,3) neighbours less their point → (…,3): local reference axes, away from the origin."""
+    length = torch.norm(relative, dim=-1, keepdim=True)
+    weight = length.amax(dim=-2, keepdim=True) - length
+    weight = weight / weight.sum(dim=-2, keepdim=True)
+    weight[torch.isnan(weight)] = 1
+    return torch.linalg.eigh((weight * relative).mT @ relative).eigenvectors[..., 0]
+
+
+def ring_features(
+    x: Tensor, n: Tensor, p: Tensor, axis: Tensor, whole: bool
+) -> tuple[Tensor, Tensor]:
+    """(B,S,n,3), …, (B,S,3), (B,S,3) → eight invariants in the order of the ring, that order."""
+    relative, axis = x - p[:, :, None], axis[:, :, None].expand_as(n)
+    across = relative - (relative * axis).sum(dim=-1, keepdim=True) * axis
+    length = torch.norm(across, dim=-1, keepdim=True)
+    u = unit(across)
+    start = length.argmax(dim=2, keepdim=True)
+    r = u.gather(2, start.expand(-1, -1, -1, 3)).expand_as(u)
+    cosine = (u * r).sum(dim=-1)
+    sign = torch.sign((torch.cross(u, r, dim=-1) * axis).sum(dim=-1))
+    sign[sign == 0] = -1
+    sign[..., 0] = 1
+    sign.scatter_(2, start[..., 0], 1.0)
+    key, order = (sign * cosine - (1 - sign)).sort(dim=-1, descending=True)
+    index = order[..., None].expand(-1, -1, -1, 3)
+    x, n = x.gather(2, index), n.gather(2, index)
+    seen = x if whole else x - p[:, :, None]
+    before = n.roll(1, dims=2)
+    d, step = unit(seen), unit(x - x.roll(1, dims=2))
+    gap = torch.cat([-3 - key[..., -1:], key[..., 1:] - key[..., :-1]], dim=-1)
+
+    def angle(a: Tensor, b: Tensor) -> Tensor:
+        return torch.acos((a * b).sum(dim=-1).clamp(-1 + 1e-7, 1 - 1e-7))
+
+    features = [
+        torch.norm(seen, dim=-1), gap, (d * axis).sum(dim=-1), (d * n).sum(dim=-1), angle(n, axis),
+        (step * n).sum(dim=-1), (step * before).sum(dim=-1), angle(n, before),
+    ]  # fmt: skip
+    return torch.stack(features, dim=-1), order
+
+
+class RILevel(nn.Module):
+    def __init__(self, count: int | None, k: int, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.count, self.k = count, k
+        self.lift = nn.Sequential(
+            nn.Conv2d(8, 32, 1), nn.BatchNorm2d(32), nn.ReLU(),
+            nn.Conv2d(32, 64, 1), nn.BatchNorm2d(64), nn.ReLU(),
+        )  # fmt: skip
+        self.mlp = nn.Sequential(
+            nn.Conv2d(64 + inputs, outputs, 1), nn.BatchNorm2d(outputs), nn.ReLU()
+        )
+
+    def forward(self, x: Tensor, n: Tensor, f: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        with torch.no_grad():
+            if self.count is None:
+                p = x.mean(dim=1, keepdim=True)
+                axis = reference_axes(x - p)[:, None]
+                skew = (((x - p) * axis).sum(dim=-1) ** 3).sum(dim=1)
+                axis = torch.where(skew[:, None, None] < 0, -axis, axis)
+                near = torch.arange(x.shape[1], device=x.device).expand(len(x), 1, -1)
+            else:
+                centres = sample(x, self.count)
+                p, axis = at(x, centres), at(n, centres)
+                near = square_distance(p, x).topk(self.k, dim=-1, largest=False).indices
+            features, order = ring_features(at(x, near), at(n, near), p, axis, self.count is None)
+        y = self.lift(features.permute(0, 3, 2, 1))
+        if f is not None:
+            y = torch.cat([y, at(f, near.gather(-1, order)).permute(0, 3, 2, 1)], dim=1)
+        return p, axis, self.mlp(y).max(dim=2).values.mT
+
+
+class RIConv2(nn.Module):
+    """Without normals, for clouds of 256 points upwards: 256, 128, 64, 32 and one centres."""
+
+    def __init__(self, num_classes: int) -> None:
+        super().__init__()
+        shape = ((256, 8, 0, 32), (128, 16, 32, 64), (64, 32, 64, 128), (32, 64, 128, 256))
+        self.levels = nn.ModuleList(RILevel(*level) for level in (*shape, (None, 0, 256, 512)))
+        self.head = fc_head(512, 256, 128, num_classes, dropout=0.4)
+
+    def forward(self, points: Tensor) -> Tensor:
+        with torch.no_grad():
+            near = square_distance(points, points).topk(32, dim=-1, largest=False).indices
+            n = reference_axes(at(points, near) - points[:, :, None])
+            n = torch.where((n * points).sum(dim=-1, keepdim=True) < 0, -n, n)
+        x, f = points, None
+        for level in self.levels:
+            x, n, f = level(x, n, f)
+        return self.head(f[:, 0])
+
+
 REFERENCES: dict[str, Callable[[int], nn.Module]] = {
+    "riconv2": RIConv2,
     "vn-pointnet": VNPointNet,
     "vn-dgcnn": VNDGCNN,
 }
