@@ -66,18 +66,28 @@ class JoinedMax(NormLinear):
         edge, point: channels of l and of f.
     """
 
-    def __init__(self, edge: int, point: int, outputs: int) -> None:
-        super().__init__(edge + point, outputs)
+    def __init__(self, edge: int, point: int, outputs: int, bias: bool = True) -> None:
+        super().__init__(edge + point, outputs, bias=bias)
         self.edge = edge
 
-    def forward(self, l: Tensor, f: Tensor, index: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(self, edges: Tensor, f: Tensor, index: Tensor) -> Tensor:  # type: ignore[override]
         """(B,S,n,L), (B,N,C), (B,S,n) → (B,S,C_out), without activation."""
-        weight, bias = self.linear.weight, self.linear.bias
-        with torch.autocast(l.device.type, enabled=False):
+        weight = self.linear.weight.split([self.edge, f.shape[-1]], dim=1)
+        return self._maximum(edges, f, index, *weight)
+
+    def about_centres(self, edges: Tensor, f: Tensor) -> Tensor:
+        """max over j of BN(W·[h_ij − f_i, f_i]): (B,N,n,C), (B,N,C) → (B,N,C_out)."""
+        relative, own = self.linear.weight.chunk(2, dim=1)
+        index = torch.arange(f.shape[1], device=f.device)[None, :, None].expand(edges.shape[:3])
+        return self._maximum(edges, f, index, relative, own - relative)
+
+    def _maximum(
+        self, edges: Tensor, f: Tensor, index: Tensor, weight: Tensor, of_point: Tensor
+    ) -> Tensor:
+        with torch.autocast(edges.device.type, enabled=False):
             flat = flat_index(index, f.shape[1]).flatten(0, 1)
-            x = full_precision(l).flatten(0, 1)
-            g = F.linear(full_precision(f).flatten(0, 1), weight[:, self.edge :], bias)
-            weight = weight[:, : self.edge]
+            x = full_precision(edges).flatten(0, 1)
+            g = F.linear(full_precision(f).flatten(0, 1), of_point, self.linear.bias)
             found = self._moments(x.flatten(0, 1), g, weight, flat) if self.training else None
             scale, shift = self.scale_and_shift(found, index.numel())
             top = _JoinedMax.apply(x, scale[:, None] * weight, g * scale + shift, flat)
@@ -86,13 +96,13 @@ class JoinedMax(NormLinear):
     @staticmethod
     def _moments(x: Tensor, g: Tensor, weight: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and variance (C_out,) of x·weightᵀ + g[index] over the edges (E,L)."""
-        edges, rows = len(x), index.flatten()
+        count, rows = len(x), index.flatten()
         mean, covariance = moments(x)
-        degree = g.new_zeros(len(g)).index_add_(0, rows, g.new_ones(1).expand(edges))[:, None]
-        g_mean = (degree * g).sum(dim=0) / edges
+        degree = g.new_zeros(len(g)).index_add_(0, rows, g.new_ones(1).expand(count))[:, None]
+        g_mean = (degree * g).sum(dim=0) / count
         g = g - g_mean
         sums = x.new_zeros(len(g), x.shape[1]).index_add(0, rows, x)
-        cross = (sums - degree * mean).T @ g / edges
+        cross = (sums - degree * mean).T @ g / count
         var = ((weight @ covariance) * weight + 2 * cross.T * weight).sum(dim=1)
-        var = var + (degree * g * g).sum(dim=0) / edges
+        var = var + (degree * g * g).sum(dim=0) / count
         return F.linear(mean, weight) + g_mean, var.clamp_min(0)

@@ -44,4 +44,18 @@ CARDS: tuple[ModelCard, ...] = (
         parameters={40: 2_899_830, 15: 2_893_405},
         published="baselines.vn_dgcnn:from_published",
     ),
+    ModelCard(
+        name="local-to-global",
+        entry="baselines.local_to_global:LocalToGlobal",
+        title="Local-to-global",
+        paper="Zhao et al., Rotation Invariant Point Cloud Analysis: Where Local Geometry Meets "
+        "Global Topology, Pattern Recognition 2022",
+        reference="CentauriStar/Rotation-Invariant-Point-Cloud-Analysis@a1b3fad",
+        reference_licence="MIT",
+        representation=POINTS,
+        invariances=frozenset({"permutation", "rotation"}),
+        parameters={40: 1_880_001, 15: 1_873_576},
+        published="baselines.local_to_global:from_published",
+        published_options={"quirks": "layout+neighbours+signs+dropout"},
+    ),
 )

@@ -87,11 +87,12 @@ def distances(a: Tensor, b: Tensor) -> Tensor:
 
 
 @_geometry
-def knn(points: Tensor, k: int) -> Tensor:
+def knn(points: Tensor, k: int, nearest_first: bool = False) -> Tensor:
     """Indices (B,N,k) of each point's k nearest, itself included, in no particular order.
 
     Args:
         points: (B,N,C) coordinates or features.
+        nearest_first: in this order.
 
     Raises:
         InputError: if a cloud has fewer than k points.
@@ -107,7 +108,7 @@ def knn(points: Tensor, k: int) -> Tensor:
         points = full_precision(points)
         norms = points.square().sum(dim=-1)
         nearness = torch.baddbmm(-norms[:, None], points, points.mT, alpha=2)
-    return nearness.topk(k, dim=-1, sorted=False).indices
+    return nearness.topk(k, dim=-1, sorted=nearest_first).indices
 
 
 @_geometry
