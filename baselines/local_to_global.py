@@ -10,18 +10,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.func import functional_call
 
 from baselines.camera import camera_ray
 from baselines.joined import JoinedMax
 from baselines.lra import dot, facing, local_axes, unit
-from baselines.points import distances, farthest_points, gather, knn, normalise
+from baselines.points import (
+    distances,
+    farthest_from_centre,
+    farthest_points,
+    gather,
+    knn,
+    normalise,
+)
 from baselines.published import chosen_quirks, tensors
-from baselines.shared_mlp import NormLinear
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -33,7 +42,7 @@ SAMPLED = 32
 """Points whose singular vectors are the cloud's axes."""
 QUIRKS = {
     "layout": "the global branch reads each cloud's N×3 numbers as 3×N: other points",
-    "neighbours": "the j-th nearest in the cloud's axes stands beside the j-th in the layer's space",
+    "neighbours": "the j-th nearest in the cloud's axes stands beside the layer's own j-th",
     "signs": "axes have the sign that LAPACK leaves",
     "dropout": "0.8, which a truncated option of the training script sets, in place of 0.5",
 }
@@ -46,19 +55,26 @@ class Geometry:
 
     Attributes:
         points: (B,N,3) float64, in the unit ball.
+        own: (B,N,3) their coordinates along the cloud's axes.
         axes: (B,N,3) local reference axes.
         normals: (B,N,3) normals, or the axes again.
         mean: (B,N,3) direction to the mean of the neighbours.
-        near: (B,N,k) nearest others.
+        near: (B,N,k) nearest others, nearest first.
         features: (B,N,3) of points: distance from the centroid, cosine and sine of the axis to it.
     """
 
     points: Tensor
+    own: Tensor
     axes: Tensor
     normals: Tensor
     mean: Tensor
     near: Tensor
     features: Tensor
+
+    @torch.no_grad()
+    def pose(self, axis: Tensor, index: Tensor) -> Tensor:
+        """Rows (R,8) of the edges, by axes or normals; see ``pose_features``."""
+        return pose_features(self.points, axis, self.mean, index).flatten(0, 2)
 
 
 def pose_features(points: Tensor, axis: Tensor, mean: Tensor, index: Tensor) -> Tensor:
@@ -86,6 +102,14 @@ def pose_features(points: Tensor, axis: Tensor, mean: Tensor, index: Tensor) -> 
     beta_j = torch.atan2(theirs[..., 2], -theirs[..., 1])
     angles = [beta_i.cos(), beta_i.sin(), beta_j.cos(), beta_j.sin()]
     return torch.stack([*angles, length, mine[..., 0], theirs[..., 0], between], dim=-1)
+
+
+def pairs(x: Tensor, index: Tensor, own_first: bool = False) -> Tensor:
+    """Rows (R,2C) of [x_j − x_i, x_i], or the other order; (B,N,C), (B,N,k)."""
+    mine = x[:, :, None].expand(-1, -1, index.shape[2], -1)
+    relative = gather(x, index) - mine
+    parts = [mine, relative] if own_first else [relative, mine]
+    return torch.cat(parts, dim=-1).flatten(0, 2)
 
 
 def normed(inputs: int, outputs: int, bias: bool = False) -> nn.Sequential:
@@ -129,11 +153,11 @@ class PoseConv(nn.Module):
         self.norm = nn.BatchNorm1d(inputs)
         self.edge = JoinedMax(inputs, inputs, outputs, bias=False)
 
-    def forward(self, f: Tensor, index: Tensor, pose: Tensor, place: Tensor) -> Tensor:
+    def forward(self, f: Tensor, near: Tensor, pose: Tensor, place: Tensor) -> Tensor:
         """(B,N,C), (B,N,k), rows (R,8) and (R,C') of the edges → (B,N,C_out)."""
         kernel = self.gate(torch.cat([self.kernel(pose), place], dim=-1))
-        basis = gather(self.basis(f), index).flatten(0, 2)
-        h = F.relu_(self.norm(kernel * basis)).unflatten(0, index.shape)
+        basis = gather(self.basis(f), near).flatten(0, 2)
+        h = F.relu_(self.norm(kernel * basis)).unflatten(0, near.shape)
         return F.leaky_relu(self.edge.about_centres(h, f), SLOPE)
 
 
@@ -158,6 +182,51 @@ class Attention(nn.Module):
         return x + self.alpha * F.scaled_dot_product_attention(k, q, v, scale=1.0)
 
 
+class Trunk(nn.Module):
+    """All layers whose outputs choose neighbours: 64, 64 and 128 channels a point.
+
+    Args:
+        k, quirks: see ``LocalToGlobal``.
+    """
+
+    def __init__(self, k: int, quirks: frozenset[str]) -> None:
+        super().__init__()
+        self.k, self.quirks = k, quirks
+        self.attention = Attention()
+        self.place = normed(6, 32)
+        self.gate = Gate(14)
+        self.first = normed(20, 64)
+        self.convs = nn.ModuleList([PoseConv(64, 64, 32), PoseConv(64, 128, 32)])
+
+    def neighbours(self, f: Tensor) -> Tensor:
+        """(B,N,C) features → (B,N,k) nearest others, nearest first."""
+        return knn(f.detach().double(), self.k + 1, nearest_first=True)[..., 1:]
+
+    def places(self, g: Tensor, index: Tensor) -> Tensor:
+        """Rows (R,32) of edges in the cloud's axes, (B,N,3), (B,N,k)."""
+        return F.leaky_relu(self.place(pairs(g, index, own_first=True)), SLOPE)
+
+    def forward(self, geometry: Geometry) -> tuple[list[Tensor], Tensor, Tensor]:
+        """Features of points after each layer, the neighbours of the next, their places (R,32)."""
+        dtype = self.attention.alpha.dtype
+        g = self.attention(geometry.own.to(dtype))
+        apart = self.neighbours(g) if "neighbours" in self.quirks else None
+        near, f = geometry.near, geometry.features.to(dtype)
+        pose = geometry.pose(geometry.normals, near).to(dtype)
+        where = pairs(g, near if apart is None else apart, own_first=True)
+        gated = self.gate(torch.cat([pose, where], dim=-1))
+        y = self.first(torch.cat([gated, pairs(f, near)], dim=-1))
+        f = F.leaky_relu(y.unflatten(0, near.shape).amax(dim=2), SLOPE)
+        features, shared = [f], None if apart is None else self.places(g, apart)
+        for conv in self.convs:
+            near = self.neighbours(f)
+            place = self.places(g, near) if shared is None else shared
+            f = conv(f, near, geometry.pose(geometry.axes, near).to(dtype), place)
+            features.append(f)
+        near = self.neighbours(f)
+        return features, near, self.places(g, near) if shared is None else shared
+
+
 class LocalToGlobal(nn.Module):
     """A first layer and three whose neighbours are near in features, 64, 64, 128, 256, their
     outputs joined, 1024 channels a point, maximum and mean over points, 512-256-K.
@@ -179,14 +248,9 @@ class LocalToGlobal(nn.Module):
             raise InputError(f"orient must be centroid or camera, got {orient!r}")
         self.k, self.orient = k, orient
         self.quirks = chosen_quirks(quirks, QUIRKS)
-        self.attention = Attention()
-        self.place1 = normed(6, 32)
-        self.place2 = normed(32, 64)
-        self.gate = Gate(14)
-        self.first = normed(20, 64)
-        self.convs = nn.ModuleList(
-            [PoseConv(64, 64, 32), PoseConv(64, 128, 32), PoseConv(128, 256, 64)]
-        )
+        self.trunk = Trunk(k, self.quirks)
+        self.place = normed(32, 64)
+        self.conv = PoseConv(128, 256, 64)
         self.embed = normed(512, 1024)
         dropout = 0.8 if "dropout" in self.quirks else 0.5
         self.head = nn.Sequential(
@@ -223,93 +287,66 @@ class LocalToGlobal(nn.Module):
         normals = axes if normals is None else unit(normals.double())
         ray = unit(x)
         sine = torch.linalg.vector_norm(torch.linalg.cross(axes, ray, dim=-1), dim=-1)
-        distance = torch.linalg.vector_norm(x, dim=-1)
-        features = torch.stack([distance, dot(axes, ray), sine], dim=-1)
-        return Geometry(x, axes, normals, mean, near[..., 1 : self.k + 1], features)
+        features = torch.stack([torch.linalg.vector_norm(x, dim=-1), dot(axes, ray), sine], dim=-1)
+        others = near[..., 1 : self.k + 1]
+        return Geometry(x, self.in_own_axes(x), axes, normals, mean, others, features)
 
-    @torch.no_grad()
     def in_own_axes(self, x: Tensor) -> Tensor:
         """(B,N,3) normalised clouds → their coordinates along their own axes."""
         if "layout" in self.quirks:
             x = x.reshape(len(x), 3, -1).mT
-        centred = x - x.mean(dim=1, keepdim=True)
-        start = torch.linalg.vector_norm(centred, dim=-1).argmax(dim=1)
+        start = farthest_from_centre(x - x.mean(dim=1, keepdim=True))
         chosen = gather(x, farthest_points(x, min(SAMPLED, x.shape[1]), start))
-        own = torch.linalg.svd(chosen, full_matrices=True).Vh.mT
+        own = torch.linalg.svd(chosen, full_matrices=False).Vh.mT
         if self.training:
             signs = torch.randint(2, (len(x), 1, 3), device=x.device) * 2 - 1
         else:
             signs = torch.where(chosen[:, :1] @ own < 0, -1, 1)
         return x @ own * signs
 
-    def places(self, g: Tensor, index: Tensor) -> Tensor:
-        """Rows (R,32) of edges: LeakyReLU(BN(W·[g_i, g_j − g_i]))."""
-        mine = g[:, :, None].expand(-1, -1, index.shape[2], -1)
-        edges = torch.cat([mine, gather(g, index) - mine], dim=-1)
-        return F.leaky_relu(self.place1(edges.flatten(0, 2)), SLOPE)
-
-    def neighbours(self, f: Tensor) -> Tensor:
-        """(B,N,C) → (B,N,k) nearest others."""
-        return knn(f.detach().double(), self.k + 1, nearest_first=True)[..., 1:]
-
     def forward(self, points: Tensor, normals: Tensor | None = None) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k, and their normals (B,N,3) → logits (B,K)."""
-        dtype = self.attention.alpha.dtype
         geometry = self.geometry(points, normals)
-        g = self.attention(self.in_own_axes(geometry.points).to(dtype))
-
-        def pose(axis: Tensor, index: Tensor) -> Tensor:
-            made = pose_features(geometry.points, axis, geometry.mean, index)
-            return made.flatten(0, 2).to(dtype)
-
-        apart = self.neighbours(g) if "neighbours" in self.quirks else None
-        index = geometry.near
-        f = geometry.features.to(dtype)
-        mine = g[:, :, None].expand(-1, -1, self.k, -1)
-        other = gather(g, index if apart is None else apart)
-        edges = torch.cat([mine, other - mine], dim=-1).flatten(0, 2)
-        gated = self.gate(torch.cat([pose(geometry.normals, index), edges], dim=-1))
-        mine = f[:, :, None].expand(-1, -1, self.k, -1)
-        own = torch.cat([gather(f, index) - mine, mine], dim=-1).flatten(0, 2)
-        y = self.first(torch.cat([gated, own], dim=-1)).unflatten(0, index.shape)
-        f = F.leaky_relu(y.amax(dim=2), SLOPE)
-        features = [f]
-        place = self.places(g, apart) if apart is not None else None
-        for i, conv in enumerate(self.convs):
-            index = self.neighbours(f)
-            where = self.places(g, index) if place is None else place
-            if i == 2:
-                where = F.leaky_relu(self.place2(where), SLOPE)
-            axis = geometry.normals if i == 2 else geometry.axes
-            f = conv(f, index, pose(axis, index), where)
-            features.append(f)
-        x = torch.cat(features, dim=-1)
+        trunk = self.trunk if self.training else partial(functional_call, self.trunk, self._state())
+        features, near, place = trunk(geometry)
+        dtype = self.embed[0].weight.dtype
+        f = features[-1].to(dtype)
+        place = F.leaky_relu(self.place(place.to(dtype)), SLOPE)
+        pose = geometry.pose(geometry.normals, near).to(dtype)
+        x = torch.cat([*(x.to(dtype) for x in features), self.conv(f, near, pose, place)], dim=-1)
         x = F.leaky_relu(self.embed(x.flatten(0, 1)), SLOPE).unflatten(0, x.shape[:2])
         return Prediction(self.head(torch.cat([x.amax(dim=1), x.mean(dim=1)], dim=-1)))
+
+    def _state(self) -> dict[str, Tensor]:
+        """The trunk's in double precision: in evaluation, rounding is not to choose neighbours."""
+        named = chain(self.trunk.named_parameters(), self.trunk.named_buffers())
+        return {name: t.double() if t.is_floating_point() else t for name, t in named}
 
 
 def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict → ours."""
-    prefixes = {"psa": "attention", "linear1": "head.0", "bn6": "head.1", "linear2": "head.4"}
-    prefixes |= {"bn7": "head.5", "linear3": "head.8"}
-    layers = {"conv1": "first", "conv5": "embed", "gb_gconv_1": "place1", "gb_gconv_2": "place2"}
-    layers |= {"psa.query_conv": "attention.query", "psa.key_conv": "attention.key"}
-    layers |= {"psa.value_conv": "attention.value"}
-    for i, conv in ((i, f"pari_{i + 1}") for i in range(3)):
-        prefixes[f"{conv}.basis_matrix"] = f"convs.{i}.basis"
-        prefixes[f"{conv}.act.0"] = f"convs.{i}.norm"
-        prefixes[f"{conv}.edge_conv.0"] = f"convs.{i}.edge.linear"
-        prefixes[f"{conv}.edge_conv.1"] = f"convs.{i}.edge.norm"
+    prefixes = {"psa": "trunk.attention", "linear1": "head.0", "bn6": "head.1"}
+    prefixes |= {"linear2": "head.4", "bn7": "head.5", "linear3": "head.8"}
+    layers = {"conv1": "trunk.first", "conv5": "embed"}
+    layers |= {"gb_gconv_1": "trunk.place", "gb_gconv_2": "place"}
+    layers |= {f"psa.{n}_conv": f"trunk.attention.{n}" for n in ("query", "key", "value")}
+    gates = {"feature_fusion": "trunk.gate"}
+    convs = {"pari_1": "trunk.convs.0", "pari_2": "trunk.convs.1", "pari_3": "conv"}
+    for theirs, ours in convs.items():
+        prefixes[f"{theirs}.basis_matrix"] = f"{ours}.basis"
+        prefixes[f"{theirs}.act.0"] = f"{ours}.norm"
+        prefixes[f"{theirs}.edge_conv.0"] = f"{ours}.edge.linear"
+        prefixes[f"{theirs}.edge_conv.1"] = f"{ours}.edge.norm"
+        gates[f"{theirs}.feature_fusion"] = f"{ours}.gate"
         for j in (0, 1, 3):
-            prefixes[f"{conv}.dynamic_kernel.{j}"] = f"convs.{i}.kernel.{j}"
+            prefixes[f"{theirs}.dynamic_kernel.{j}"] = f"{ours}.kernel.{j}"
     for j in (0, 1, 3):
-        prefixes[f"psa.mlp.{j}"] = f"attention.embed.{j}"
-    gates = {"feature_fusion": "gate"}
-    gates |= {f"pari_{i + 1}.feature_fusion": f"convs.{i}.gate" for i in range(3)}
+        prefixes[f"psa.mlp.{j}"] = f"trunk.attention.embed.{j}"
     for theirs, ours in gates.items():
         layers[f"{theirs}.conv"] = f"{ours}.squeeze"
         prefixes[f"{theirs}.conv.3"] = f"{ours}.spread"
     for theirs, ours in layers.items():
         prefixes |= {f"{theirs}.{j}": f"{ours}.{j}" for j in range(2)}
+    # It names the attention's norms a second time.
     ignored = tuple(f"psa.bn{i}." for i in range(1, 5))
     return tensors(state, model, prefixes, ignored=ignored)

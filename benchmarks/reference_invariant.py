@@ -263,8 +263,126 @@ class RIConv2(nn.Module):
         return self.head(f[:, 0])
 
 
+def pose_features(x: Tensor, n: Tensor, axis: Tensor, index: Tensor) -> Tensor:
+    """(B,N,3), axes, means, (B,N,k) → (B,8,N,k)."""
+    edge = at(x, index) - x[:, :, None]
+    length = torch.norm(edge, dim=-1, keepdim=True)
+    mine, theirs = n[:, :, None].expand_as(edge), at(n, index)
+
+    def beta(n: Tensor, axis: Tensor, e: Tensor) -> Tensor:
+        a, b = torch.cross(n, unit(axis), dim=-1), torch.cross(n, unit(e), dim=-1)
+        c = torch.cross(a, b, dim=-1)
+        sine = torch.norm(c, dim=-1)
+        sine = torch.where((c * n).sum(dim=-1) > 0, -sine, sine)
+        return torch.atan2(sine, (a * b).sum(dim=-1))
+
+    i, j = beta(mine, axis[:, :, None].expand_as(edge), edge), beta(theirs, at(axis, index), -edge)
+    e = unit(edge)
+    parts = [i.cos(), i.sin(), j.cos(), j.sin(), length[..., 0]]
+    parts += [(mine * e).sum(dim=-1), (theirs * e).sum(dim=-1), (mine * theirs).sum(dim=-1)]
+    return torch.stack(parts, dim=1)
+
+
+def conv_norm(dims: int, a: int, b: int, slope: float | None, bias: bool = False) -> nn.Sequential:
+    conv, norm = (nn.Conv1d, nn.BatchNorm1d) if dims == 1 else (nn.Conv2d, nn.BatchNorm2d)
+    end = [] if slope is None else [nn.LeakyReLU(slope) if slope else nn.ReLU()]
+    return nn.Sequential(conv(a, b, 1, bias=bias), norm(b), *end)
+
+
+class Gate(nn.Module):
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.conv = nn.Sequential(
+            *conv_norm(2, channels, channels // 2, 0.2),
+            nn.Conv2d(channels // 2, channels, 1, bias=False),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x * torch.sigmoid(self.conv(x))
+
+
+class PoseConv(nn.Module):
+    def __init__(self, inputs: int, outputs: int, place: int) -> None:
+        super().__init__()
+        self.kernel = nn.Sequential(
+            *conv_norm(2, 8, inputs // 4, 0.0, bias=True), nn.Conv2d(inputs // 4, inputs - place, 1)
+        )
+        self.gate = Gate(inputs)
+        self.basis = nn.Conv1d(inputs, inputs, 1, bias=False)
+        self.act = nn.Sequential(nn.BatchNorm2d(inputs), nn.ReLU())
+        self.edge = conv_norm(2, 2 * inputs, outputs, 0.2)
+
+    def forward(self, f: Tensor, index: Tensor, pose: Tensor, place: Tensor) -> Tensor:
+        """(B,C,N), (B,N,k), (B,8,N,k), (B,C',N,k) → (B,C_out,N)."""
+        kernel = self.gate(torch.cat([self.kernel(pose), place], dim=1))
+        basis = at(self.basis(f).mT.contiguous(), index).permute(0, 3, 1, 2)
+        h = self.act(kernel * basis)
+        centre = f[..., None].expand_as(h)
+        return self.edge(torch.cat([h - centre, centre], dim=1)).max(dim=-1).values
+
+
+class LocalToGlobal(nn.Module):
+    """With the layout of the global branch repaired, its own neighbours and no normals."""
+
+    def __init__(self, num_classes: int, k: int = 20) -> None:
+        super().__init__()
+        self.k = k
+        self.alpha = nn.Parameter(torch.zeros(1))
+        self.embed_place = nn.Sequential(
+            *conv_norm(1, 3, 64, 0.0), nn.Conv1d(64, 128, 1, bias=False)
+        )
+        self.query, self.key, self.value = (conv_norm(1, 128, c, 0.0) for c in (16, 16, 3))
+        self.place1, self.place2 = conv_norm(2, 6, 32, 0.2), conv_norm(2, 32, 64, 0.2)
+        self.gate = Gate(14)
+        self.first = conv_norm(2, 20, 64, 0.2)
+        self.convs = nn.ModuleList(
+            [PoseConv(64, 64, 32), PoseConv(64, 128, 32), PoseConv(128, 256, 64)]
+        )
+        self.embed = conv_norm(1, 512, 1024, 0.2)
+        self.head = nn.Sequential(
+            nn.Linear(2048, 512, bias=False), nn.BatchNorm1d(512), nn.LeakyReLU(0.2),
+            nn.Dropout(0.5), nn.Linear(512, 256), nn.BatchNorm1d(256), nn.LeakyReLU(0.2),
+            nn.Dropout(0.5), nn.Linear(256, num_classes),
+        )  # fmt: skip
+
+    def pairs(self, x: Tensor, index: Tensor, own_first: bool) -> Tensor:
+        mine = x[..., None].expand(-1, -1, -1, self.k)
+        relative = at(x.mT.contiguous(), index).permute(0, 3, 1, 2) - mine
+        return torch.cat([mine, relative] if own_first else [relative, mine], dim=1)
+
+    def forward(self, points: Tensor) -> Tensor:
+        with torch.no_grad():
+            near = square_distance(points, points).topk(48, dim=-1, largest=False).indices
+            relative = at(points, near) - points[:, :, None]
+            axis = reference_axes(relative[:, :, :32])
+            mean, ray = unit(relative.mean(dim=2)), unit(points)
+            sine = torch.norm(torch.cross(axis, ray, dim=-1), dim=-1)
+            f = torch.stack([torch.norm(points, dim=-1), (axis * ray).sum(dim=-1), sine], dim=1)
+            own = torch.linalg.svd(at(points, sample(points, 32)), full_matrices=False).Vh.mT
+            g = (points @ own).mT
+        x = self.embed_place(g)
+        weights = (self.key(x).mT @ self.query(x)).softmax(dim=-1)
+        g = self.alpha * (weights @ self.value(x).mT).mT + g
+        apart = nearest(g, self.k + 1)[..., 1:]
+        index = near[..., 1 : self.k + 1]
+        where = self.pairs(g, apart, own_first=True)
+        gated = self.gate(torch.cat([pose_features(points, axis, mean, index), where], dim=1))
+        f = self.first(torch.cat([gated, self.pairs(f, index, own_first=False)], dim=1))
+        f = f.max(dim=-1).values
+        places = [self.place1(where)]
+        places += [places[0], self.place2(places[0])]
+        features = [f]
+        for conv, place in zip(self.convs, places, strict=True):
+            index = nearest(f, self.k + 1)[..., 1:]
+            f = conv(f, index, pose_features(points, axis, mean, index), place)
+            features.append(f)
+        x = self.embed(torch.cat(features, dim=1))
+        return self.head(torch.cat([x.max(dim=-1).values, x.mean(dim=-1)], dim=1))
+
+
 REFERENCES: dict[str, Callable[[int], nn.Module]] = {
     "riconv2": RIConv2,
     "vn-pointnet": VNPointNet,
     "vn-dgcnn": VNDGCNN,
+    "local-to-global": LocalToGlobal,
 }
