@@ -309,7 +309,7 @@ class LocalToGlobal(nn.Module):
         geometry = self.geometry(points, normals)
         trunk = self.trunk if self.training else partial(functional_call, self.trunk, self._state())
         features, near, place = trunk(geometry)
-        dtype = self.embed[0].weight.dtype
+        dtype = self.conv.norm.weight.dtype
         f = features[-1].to(dtype)
         place = F.leaky_relu(self.place(place.to(dtype)), SLOPE)
         pose = geometry.pose(geometry.normals, near).to(dtype)

@@ -25,7 +25,8 @@ _RICONV2_RECIPE = Recipe(
 )
 _RICONV2_CHOICES = (
     "as many centres as on ModelNet40: all points up to 1,024, then a half, a quarter, an eighth; "
-    "of small clouds as many neighbours as there are (centres=512: the release's ScanObjectNN form)",
+    "of small clouds as many neighbours as there are (centres=512: the release's ScanObjectNN "
+    "form)",
     "angles have no sign, as released; the paper signs them, but the line that would do so acts on "
     "booleans. Signs jump where two normals lean alike (signed_angles=true)",
     "the last level sees its points from the cloud's centroid but sorts them round their own, as "
@@ -37,12 +38,12 @@ _RICONV2_DEVIATIONS = (
     "its answer depends on the order of the points (quirks=start)",
     "the ring's start is on its own left; the release leaves its side to rounding, which moves the "
     "log-probabilities of turned clouds by 0.35–0.76, of 3.0–3.8 between clouds (quirks=signs)",
-    "the last level's axis is turned so that Σ(x·axis)³ ≥ 0; the release leaves its sign to LAPACK, "
-    "a flip moves them by 1.6–2.6 (quirks=signs)",
+    "the last level's axis is turned so that Σ(x·axis)³ ≥ 0; the release leaves its sign to "
+    "LAPACK, a flip moves them by 1.6–2.6 (quirks=signs)",
     "the last level's first point is where it is on the ring; the release puts it on the left, "
     "wrongly half the time (quirks=ring)",
-    "cross products are of coordinates; the release's are along the first axis of size 3, so that a "
-    "batch of exactly three clouds gets other answers, by 2.2–2.7 (quirks=cross)",
+    "cross products are of coordinates; the release's are along the first axis of size 3, so that "
+    "a batch of exactly three clouds gets other answers, by 2.2–2.7 (quirks=cross)",
 )
 
 _VN_RECIPE = Recipe(
@@ -62,8 +63,8 @@ _VN_CHOICES = (
     "rounding",
 )
 _VN_CENTRED = (
-    "clouds are centred inside the model: the release is not invariant to a shift, one of 0.1 moves "
-    "its answers by 1–20 times what clouds differ by, and its augmentation shifts"
+    "clouds are centred inside the model: the release is not invariant to a shift, one of 0.1 "
+    "moves its answers by 1–20 times what clouds differ by, and its augmentation shifts"
 )
 
 CARDS: tuple[ModelCard, ...] = (
@@ -179,12 +180,12 @@ CARDS: tuple[ModelCard, ...] = (
             "centroid; orient=camera turns them to the camera by its ray",
             "the layers that choose neighbours among features are of double precision in "
             "evaluation. Where two neighbours are as far to seven digits, the input's own rounding "
-            "still chooses: about one turned cloud in thirty then differs by more than 1e-4",
+            "still chooses: of 32 turned clouds two then differed by more than 1e-4, by 3.4e-4",
         ),
         deviations=(
             "the global branch reads points; the release reads their N×3 numbers as 3×N, so that a "
-            "rotation moves its logits by 60–85 % of what clouds differ by, the order of the points "
-            "by 55 % (quirks=layout)",
+            "rotation moves its logits by 60–85 % of what clouds differ by, the order of the "
+            "points by 55 % (quirks=layout)",
             "both branches' edges lead to one neighbour; the release joins the j-th nearest of one "
             "space to the j-th of another (quirks=neighbours)",
             "axes have signs; the release leaves them to LAPACK (quirks=signs)",
