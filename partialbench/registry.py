@@ -75,6 +75,8 @@ class ModelCard:
         entry: "module:factory"; called as factory(num_classes, **options) → ``nn.Module``.
         title: as printed in tables.
         paper, reference, reference_licence: publication, owner/repository@commit, its licence.
+        inputs: what it is called with beside the points: "normals", as ``forward``'s argument of
+            that name; its ``nn.Module`` says so too, by ``needs_normals``.
         representation: what the network sees, as in the paper's table ("pc (1024×3)").
         invariances: claimed of the class logits: "permutation", "rotation" (any), both or none.
         parameters: {num_classes: count}.
@@ -95,6 +97,7 @@ class ModelCard:
     reference: str = ""
     reference_licence: str = ""
     representation: str = ""
+    inputs: tuple[str, ...] = ()
     invariances: frozenset[str] = frozenset()
     parameters: Mapping[int, int] = field(default_factory=dict)
     recipe: Recipe = field(default_factory=Recipe)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from torch import nn
 
-from partialbench.benchmark import duplicates
+from partialbench.benchmark import duplicates, inputs
 from partialbench.benchmark.batches import Clouds
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
@@ -41,14 +41,14 @@ def run_model(
     model.eval()
     for start in range(0, len(rows), batch_size):
         chosen = rows[start : start + batch_size]
-        points = torch.from_numpy(dataset.points(chosen)).to(device)
+        points, more = inputs.of_rows(model, dataset, chosen, device)
         # Not around the yield: a generator must not leave its caller without gradients.
         with torch.inference_mode():
             if given is None:
-                output = model(points)
+                output = model(points, **more)
             else:
                 told = torch.from_numpy(given[start : start + batch_size]).to(device)
-                output = model(points, rotation=told)
+                output = model(points, rotation=told, **more)
         yield chosen, as_prediction(output, len(chosen), num_classes)
 
 

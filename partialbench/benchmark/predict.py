@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from partialbench.benchmark import checkpoint
+from partialbench.benchmark import checkpoint, inputs
 from partialbench.benchmark.models import as_prediction
 from partialbench.dataset.cloud_files import FORMATS, read_cloud
 from partialbench.dataset.seeding import generator
@@ -81,6 +81,11 @@ def predict(
         raise InputError(f"votes must be at least 1, got {votes}")
     content = checkpoint.load(checkpoint_file)
     model = checkpoint.build_model(content).to(device)
+    if inputs.needs_normals(model):
+        raise InputError(
+            f"{checkpoint_file} holds a {content['model']!r}, which takes normals; captures are "
+            f"read without, so give a checkpoint of a model that takes points alone"
+        )
     if changed := checkpoint.changed_code(content):
         log.warning("%s: %s", checkpoint_file, changed)
     given = read_points(Path(file), K, depth_scale)

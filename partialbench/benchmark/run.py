@@ -11,7 +11,15 @@ from typing import Any
 import torch
 from lightning.fabric import Fabric
 
-from partialbench.benchmark import checkpoint, finetune, given_pose, models, results, testing
+from partialbench.benchmark import (
+    checkpoint,
+    finetune,
+    given_pose,
+    inputs,
+    models,
+    results,
+    testing,
+)
 from partialbench.benchmark import protocol as protocols
 from partialbench.benchmark import recipe as recipes
 from partialbench.benchmark.batches import Clouds
@@ -123,6 +131,9 @@ def run_eval(
     train_set = ShardDataset(data, "train", followed.num_points)
     folders = [folder for folder in (data, test_data) if folder is not None]
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
+    if inputs.NORMALS in card.inputs:
+        for part in (train_set, *test_sets):
+            inputs.require(part, model)
     if poses:  # before a training that could not be tested so
         fresh = models.create(model, len(train_set.class_names), options)
         testing.try_given_pose(model, fresh, test_sets[0], poses[0], len(train_set.class_names))
@@ -225,6 +236,9 @@ def _test_checkpoint(
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
+    if inputs.needs_normals(model):
+        for part in test_sets:
+            inputs.require(part, model_name)
     if test_poses:
         classes = len(content["class_names"])
         testing.try_given_pose(model_name, model, test_sets[0], test_poses[0], classes)

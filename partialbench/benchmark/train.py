@@ -33,6 +33,7 @@ from partialbench.benchmark import (
     environment,
     evaluate,
     finetune,
+    inputs,
     models,
 )
 from partialbench.benchmark import recipe as recipes
@@ -140,8 +141,9 @@ class WithLoss(nn.Module):
         own_loss = getattr(self.model, "training_loss", None)
         if callable(own_loss):
             return own_loss(batch)
+        given = {} if batch.normals is None else {inputs.NORMALS: batch.normals}
         prediction: Prediction = models.as_prediction(
-            self.model(batch.points), len(batch.label), self.num_classes
+            self.model(batch.points, **given), len(batch.label), self.num_classes
         )
         loss = cross_entropy(
             prediction.class_logits, batch.label, label_smoothing=self.label_smoothing
@@ -195,7 +197,7 @@ def train(
     bare = wrapped.model
     stream = BatchStream(
         task.dataset, task.train_rows, task.protocol, task.recipe.batch_size, task.seed,
-        fabric.global_rank, fabric.world_size,
+        fabric.global_rank, fabric.world_size, normals=inputs.needs_normals(bare),
     )  # fmt: skip
     epochs = task.protocol.num_epochs(task.recipe, len(task.train_rows))
     schedule = Schedule(task.recipe, epochs)
@@ -335,7 +337,12 @@ def _look(fabric: Fabric, unread: list[Tensor], loss_sum: float, task: Task, pla
 
 
 def _to(batch: Batch, device: torch.device) -> Batch:
-    return Batch(*(tensor.to(device, non_blocking=True) for tensor in batch))
+    moved = {
+        name: tensor.to(device, non_blocking=True)
+        for name, tensor in batch._asdict().items()
+        if tensor is not None
+    }
+    return Batch(**moved)
 
 
 def _require_same_training(saved: dict[str, Any], identity: dict[str, Any], path: Path) -> None:
