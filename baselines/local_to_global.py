@@ -31,6 +31,7 @@ from baselines.points import (
     normalise,
 )
 from baselines.published import chosen_quirks, tensors
+from baselines.shared_mlp import NormLinear
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -112,12 +113,12 @@ def pairs(x: Tensor, index: Tensor, own_first: bool = False) -> Tensor:
     return torch.cat(parts, dim=-1).flatten(0, 2)
 
 
-def normed(inputs: int, outputs: int, bias: bool = False) -> nn.Sequential:
+def normed(inputs: int, outputs: int) -> nn.Sequential:
     """A linear layer and batch norm over rows, computed one after the other.
 
     For layers with many inputs and few outputs that is quicker than ``NormLinear``.
     """
-    return nn.Sequential(nn.Linear(inputs, outputs, bias=bias), nn.BatchNorm1d(outputs))
+    return nn.Sequential(nn.Linear(inputs, outputs, bias=False), nn.BatchNorm1d(outputs))
 
 
 class Gate(nn.Module):
@@ -143,11 +144,8 @@ class PoseConv(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, place: int) -> None:
         super().__init__()
-        self.kernel = nn.Sequential(
-            *normed(8, inputs // 4, bias=True),
-            nn.ReLU(inplace=True),
-            nn.Linear(inputs // 4, inputs - place),
-        )
+        self.hidden = NormLinear(8, inputs // 4)
+        self.kernel = nn.Linear(inputs // 4, inputs - place)
         self.gate = Gate(inputs)
         self.basis = nn.Linear(inputs, inputs, bias=False)
         self.norm = nn.BatchNorm1d(inputs)
@@ -155,7 +153,8 @@ class PoseConv(nn.Module):
 
     def forward(self, f: Tensor, near: Tensor, pose: Tensor, place: Tensor) -> Tensor:
         """(B,N,C), (B,N,k), rows (R,8) and (R,C') of the edges → (B,N,C_out)."""
-        kernel = self.gate(torch.cat([self.kernel(pose), place], dim=-1))
+        kernel = self.kernel(F.relu_(self.hidden(pose)))
+        kernel = self.gate(torch.cat([kernel, place], dim=-1))
         basis = gather(self.basis(f), near).flatten(0, 2)
         h = F.relu_(self.norm(kernel * basis)).unflatten(0, near.shape)
         return F.leaky_relu(self.edge.about_centres(h, f), SLOPE)
@@ -193,9 +192,9 @@ class Trunk(nn.Module):
         super().__init__()
         self.k, self.quirks = k, quirks
         self.attention = Attention()
-        self.place = normed(6, 32)
+        self.place = NormLinear(6, 32, bias=False)
         self.gate = Gate(14)
-        self.first = normed(20, 64)
+        self.first = NormLinear(20, 64, bias=False)
         self.convs = nn.ModuleList([PoseConv(64, 64, 32), PoseConv(64, 128, 32)])
 
     def neighbours(self, f: Tensor) -> Tensor:
@@ -215,8 +214,8 @@ class Trunk(nn.Module):
         pose = geometry.pose(geometry.normals, near).to(dtype)
         where = pairs(g, near if apart is None else apart, own_first=True)
         gated = self.gate(torch.cat([pose, where], dim=-1))
-        y = self.first(torch.cat([gated, pairs(f, near)], dim=-1))
-        f = F.leaky_relu(y.unflatten(0, near.shape).amax(dim=2), SLOPE)
+        edges = torch.cat([gated, pairs(f, near)], dim=-1).unflatten(0, near.shape)
+        f = F.leaky_relu(self.first.max(edges), SLOPE)
         features, shared = [f], None if apart is None else self.places(g, apart)
         for conv in self.convs:
             near = self.neighbours(f)
@@ -249,7 +248,7 @@ class LocalToGlobal(nn.Module):
         self.k, self.orient = k, orient
         self.quirks = chosen_quirks(quirks, QUIRKS)
         self.trunk = Trunk(k, self.quirks)
-        self.place = normed(32, 64)
+        self.place = NormLinear(32, 64, bias=False)
         self.conv = PoseConv(128, 256, 64)
         self.embed = normed(512, 1024)
         dropout = 0.8 if "dropout" in self.quirks else 0.5
@@ -327,8 +326,8 @@ def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tens
     """The release's state dict → ours."""
     prefixes = {"psa": "trunk.attention", "linear1": "head.0", "bn6": "head.1"}
     prefixes |= {"linear2": "head.4", "bn7": "head.5", "linear3": "head.8"}
-    layers = {"conv1": "trunk.first", "conv5": "embed"}
-    layers |= {"gb_gconv_1": "trunk.place", "gb_gconv_2": "place"}
+    layers = {"conv5": "embed"}
+    folded = {"conv1": "trunk.first", "gb_gconv_1": "trunk.place", "gb_gconv_2": "place"}
     layers |= {f"psa.{n}_conv": f"trunk.attention.{n}" for n in ("query", "key", "value")}
     gates = {"feature_fusion": "trunk.gate"}
     convs = {"pari_1": "trunk.convs.0", "pari_2": "trunk.convs.1", "pari_3": "conv"}
@@ -338,8 +337,8 @@ def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tens
         prefixes[f"{theirs}.edge_conv.0"] = f"{ours}.edge.linear"
         prefixes[f"{theirs}.edge_conv.1"] = f"{ours}.edge.norm"
         gates[f"{theirs}.feature_fusion"] = f"{ours}.gate"
-        for j in (0, 1, 3):
-            prefixes[f"{theirs}.dynamic_kernel.{j}"] = f"{ours}.kernel.{j}"
+        prefixes[f"{theirs}.dynamic_kernel.3"] = f"{ours}.kernel"
+        folded[f"{theirs}.dynamic_kernel"] = f"{ours}.hidden"
     for j in (0, 1, 3):
         prefixes[f"psa.mlp.{j}"] = f"trunk.attention.embed.{j}"
     for theirs, ours in gates.items():
@@ -347,6 +346,8 @@ def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tens
         prefixes[f"{theirs}.conv.3"] = f"{ours}.spread"
     for theirs, ours in layers.items():
         prefixes |= {f"{theirs}.{j}": f"{ours}.{j}" for j in range(2)}
+    for theirs, ours in folded.items():
+        prefixes |= {f"{theirs}.0": f"{ours}.linear", f"{theirs}.1": f"{ours}.norm"}
     # It names the attention's norms a second time.
     ignored = tuple(f"psa.bn{i}." for i in range(1, 5))
     return tensors(state, model, prefixes, ignored=ignored)
