@@ -79,29 +79,44 @@ class JoinedMax(NormLinear):
         """max over j of BN(W·[h_ij − f_i, f_i]): (B,N,n,C), (B,N,C) → (B,N,C_out)."""
         relative, own = self.linear.weight.chunk(2, dim=1)
         index = torch.arange(f.shape[1], device=f.device)[None, :, None].expand(edges.shape[:3])
-        return self._maximum(edges, f, index, relative, own - relative)
+        return self._maximum(edges, f, index, relative, own - relative, own=True)
 
     def _maximum(
-        self, edges: Tensor, f: Tensor, index: Tensor, weight: Tensor, of_point: Tensor
+        self,
+        edges: Tensor,
+        f: Tensor,
+        index: Tensor,
+        weight: Tensor,
+        of_point: Tensor,
+        own: bool = False,
     ) -> Tensor:
         with torch.autocast(edges.device.type, enabled=False):
             flat = flat_index(index, f.shape[1]).flatten(0, 1)
             x = full_precision(edges).flatten(0, 1)
             g = F.linear(full_precision(f).flatten(0, 1), of_point, self.linear.bias)
-            found = self._moments(x.flatten(0, 1), g, weight, flat) if self.training else None
+            found = self._moments(x, g, weight, None if own else flat) if self.training else None
             scale, shift = self.scale_and_shift(found, index.numel())
             top = _JoinedMax.apply(x, scale[:, None] * weight, g * scale + shift, flat)
         return top.unflatten(0, index.shape[:2])
 
     @staticmethod
-    def _moments(x: Tensor, g: Tensor, weight: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and variance (C_out,) of x·weightᵀ + g[index] over the edges (E,L)."""
-        count, rows = len(x), index.flatten()
-        mean, covariance = moments(x)
-        degree = g.new_zeros(len(g)).index_add_(0, rows, g.new_ones(1).expand(count))[:, None]
+    def _moments(
+        x: Tensor, g: Tensor, weight: Tensor, index: Tensor | None
+    ) -> tuple[Tensor, Tensor]:
+        """Mean and variance (C_out,) of x·weightᵀ + g[index] over the edges (G,n,L).
+
+        Without an index each group's point is its own.
+        """
+        size, count = x.shape[1], x.shape[0] * x.shape[1]
+        mean, covariance = moments(x.flatten(0, 1))
+        if index is None:
+            sums, degree = x.sum(dim=1), g.new_tensor(float(size))
+        else:
+            rows, ones = index.flatten(), g.new_ones(1).expand(count)
+            degree = g.new_zeros(len(g)).index_add_(0, rows, ones)[:, None]
+            sums = x.new_zeros(len(g), x.shape[2]).index_add(0, rows, x.flatten(0, 1))
         g_mean = (degree * g).sum(dim=0) / count
         g = g - g_mean
-        sums = x.new_zeros(len(g), x.shape[1]).index_add(0, rows, x)
         cross = (sums - degree * mean).T @ g / count
         var = ((weight @ covariance) * weight + 2 * cross.T * weight).sum(dim=1)
         var = var + (degree * g * g).sum(dim=0) / count
