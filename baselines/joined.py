@@ -34,7 +34,7 @@ class _JoinedMax(torch.autograd.Function):
         rank = torch.zeros(groups, len(weight), dtype=torch.int32, device=x.device)
         for part in chunks(groups, size * len(weight), x.device):
             y = g.index_select(0, index[part].flatten())
-            y = torch.addmm(y, x[part].flatten(0, 1), weight.T).unflatten(0, (-1, size))
+            y = y.addmm_(x[part].flatten(0, 1), weight.T).unflatten(0, (-1, size))
             maximum(y, top[part], rank[part] if any(ctx.needs_input_grad) else None)
         ctx.save_for_backward(x, weight, index, rank)
         ctx.points = len(g)

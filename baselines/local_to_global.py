@@ -131,7 +131,7 @@ class Gate(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         inner = F.leaky_relu_(self.squeeze(x), SLOPE)
-        return x * torch.sigmoid(self.spread(inner))
+        return x * self.spread(inner).sigmoid_()
 
 
 class PoseConv(nn.Module):
