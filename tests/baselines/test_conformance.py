@@ -56,7 +56,7 @@ def add_normals(model: nn.Module, inputs: tuple[Tensor], given: dict[str, Any]) 
     """Calls a model of clouds and normals with the normals that the clouds themselves suggest."""
     points = inputs[0].detach().double()
     points = points - points.mean(dim=1, keepdim=True)
-    near = torch.cdist(points, points).topk(16, largest=False).indices
+    near = torch.cdist(points, points).topk(32, largest=False).indices
     axes = local_axes(gather(points, near) - points[:, :, None])
     return inputs, {**given, "normals": facing(axes, points).float()}
 
