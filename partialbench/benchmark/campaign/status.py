@@ -63,9 +63,8 @@ class Status:
                 for clouds in sorted({job.clouds for job in jobs if job.data == data}):
                     here = [job for job in jobs if (job.data, job.clouds) == (data, clouds)]
                     share = sum(job in finished for job in here)
-                    lines.append(
-                        f"{heading:10} {data:24} {milestones.name(clouds):>7}   {share:>4} of {len(here)}"
-                    )
+                    name = milestones.name(clouds)
+                    lines.append(f"{heading:10} {data:24} {name:>7}   {share:>4} of {len(here)}")
         lines += [f"running    {job.title}" for job in self.running]
         lines += [f"failed     {job.title}" for job in self.failed]
         for reason in sorted(set(self.waiting.values())):
