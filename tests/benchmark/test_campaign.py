@@ -137,6 +137,18 @@ def test_a_diverged_training_is_recorded_and_the_rest_goes_on(
     assert not (campaign.results / FAILURES).exists()
 
 
+def test_data_that_cannot_be_rendered_cost_their_own_jobs_alone(campaign, in_this_process):
+    shutil.rmtree(campaign.work / "data" / "other")
+    text = campaign.path.read_text()
+    at = text.index("render =", text.index("[data.other]"))
+    broken = text[:at] + 'render = "pm40 --source nowhere"\n' + text[text.index("\n", at) :]
+    campaign.path.write_text(broken)
+    with pytest.raises(PartialbenchError, match=r"all was done but for 1 data set.*nowhere"):
+        running.run(load(campaign.path), jobs=1)
+    assert ("train", "Posed", 64) not in in_this_process  # tested on it
+    assert len(in_this_process) == 4
+
+
 def test_time_that_is_over_ends_it_with_75_and_keeps_what_is_done(campaign, in_this_process):
     with pytest.raises(TimeLimitError, match="5 jobs are left"):
         running.run(campaign, jobs=1, time_limit_s=1e-3)

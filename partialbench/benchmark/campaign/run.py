@@ -83,6 +83,11 @@ def run(
         if campaign.board is not None and any(campaign.results.glob("*.result.json")):
             for path in registry.load(registry.LEADERBOARD)(campaign.results, campaign.board):
                 log.info("wrote %s", path)
+        if runner.unrendered:
+            raise PartialbenchError(
+                f"all was done but for {len(runner.unrendered)} data set(s): "
+                + "; ".join(runner.unrendered.values())
+            )
         if not ended:
             raise TimeLimitError(
                 f"the time limit is over; {len(status(campaign).missing)} jobs are left. The same "
@@ -102,8 +107,11 @@ class _Runner:
         self.deadline, self.say = deadline, say
         self.stop = campaign.work / f"stop-{os.getpid()}"
         self.running: dict[Future, Job] = {}
+        self.unrendered: dict[str, str] = {}
 
     def wanted(self, job: Job) -> bool:
+        if any(test.data in self.unrendered for test in job.tests) or job.data in self.unrendered:
+            return False
         name = f"{job.model}@{job.data}"
         patterns = [each if "@" in each else f"{each}@*" for each in self.only]
         return not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
@@ -114,7 +122,12 @@ class _Runner:
         needed = {name for job in missing for name in (job.data, *(t.data for t in job.tests))}
         for name in self.campaign.data:
             if name in needed and not self.is_over():
-                _render(self.campaign.data[name], workers, scheduler, self.say)
+                try:
+                    _render(self.campaign.data[name], workers, scheduler, self.say)
+                except PartialbenchError as error:
+                    # What can be trained without it is.
+                    self.unrendered[name] = str(error)
+                    self.say(str(error))
 
     def is_over(self) -> bool:
         return self.deadline is not None and time.monotonic() >= self.deadline
