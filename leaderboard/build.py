@@ -13,13 +13,14 @@ from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
+from leaderboard.output import write_board
 from leaderboard.page import clouds, html
 from leaderboard.page.content import Found
 from leaderboard.poses import pose_layouts
 from leaderboard.settings import as_layout, losses, setting_families
+from leaderboard.transductive import transductive_layouts
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
-from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 PAGE = "leaderboard.html"
@@ -35,10 +36,12 @@ def build_leaderboard(
 ) -> list[Path]:
     """Writes leaderboard.html, .md, .csv and .tex, two more .csv and, if asked, figures/.
 
-    The same records (and data) give the same bytes.
+    The same records (and data) give the same bytes. Files of an earlier board that this one lacks
+    are removed from ``out``.
 
     Args:
-        check: recompute every score from the stored predictions first.
+        check: recompute every score from the stored predictions first, and hold cards against the
+            registry and test sets against the given data.
         data: data folders the records were tested on: the page shows clouds on which the models
             disagree from those whose digest fits. They become part of the page; whoever passes it
             on needs the right to. Built-in data beside the records are found without being named.
@@ -68,7 +71,8 @@ def build_leaderboard(
     if not board:
         raise InputError(
             f"{folder} holds only tests under other conditions than trained on (fewer points, "
-            f"another sensor, a given pose); each needs its model's own test beside it, with --data"
+            f"another sensor, a given pose), which need their model's own test beside them, with "
+            f"--data, or models whose answers depend on a test cloud's batch-mates"
         )
     named = {each.digest for each in test_sets}
     tested = {column.key[5] for column in board}
@@ -93,6 +97,7 @@ def build_leaderboard(
         *(as_layout(family, lost) for family, lost in settings),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
         *tuning_layouts(folder, records, board),
@@ -112,11 +117,9 @@ def build_leaderboard(
         from leaderboard import figures  # Matplotlib takes its time to load
 
         contents |= figures.files(board, comparisons, families, given_poses, folder)
-    for name, content in contents.items():
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(out / name, content)
+    written = write_board(out, contents)
     steps.next()
-    return [out / name for name in contents]
+    return written
 
 
 class _Steps:

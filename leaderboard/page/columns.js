@@ -4,7 +4,7 @@ const pose = key => row => (row.pose ? row.pose[key] : null);
 
 const COLUMNS = [
   { id: "rank", title: "rank", value: row => row.rank, best: "low", show: row => row.rank ?? "",
-    help: "1, and one more for each model that is better beyond doubt: a paired test over test objects, Holm's correction over all pairs, 5 %. Equal ranks cannot be told apart." },
+    help: "1, and one more for each model that is better beyond doubt: a paired test over test objects and, where rows have several seeds, over seeds; Holm's correction over all pairs, 5 %. Equal ranks cannot be told apart." },
   { id: "model", title: "model", value: row => row.title.toLowerCase(), best: "low", text: true,
     help: "One row a model, as its card declares it; what was changed about a variant stands in brackets. Opens to its card, its command, its curves." },
   { id: "accuracy", title: "accuracy (%)", value: row => row.accuracy, best: "high",
@@ -31,10 +31,10 @@ const COLUMNS = [
   { id: "memory", title: "memory", value: row => row.memory, best: "low", show: row => (row.memory ? `${engineering(row.memory)}B` : dash), help: "Peak memory of the training." },
   { id: "minutes", title: "training (min)", value: row => row.minutes, best: "low", show: row => row.minutes.toFixed(row.minutes < 10 ? 1 : 0), help: "Time of one seed's training, on the hardware in the record." },
   { id: "seen", title: "clouds seen", value: row => row.seen, best: "low", show: row => engineering(row.seen), help: "Training clouds seen, repeats counted; with those of the trainings it began from." },
-  { id: "seeds", title: "seeds", value: row => row.seeds, best: "high", show: row => row.seeds, help: "Trainings behind the row." },
+  { id: "seeds", title: "seeds", value: row => row.seeds, best: "high", show: row => row.seeds, help: "Trainings behind the row. A row of one seed speaks of one network, not of a method." },
   { id: "input", title: "input", value: row => row.input, best: "low", text: true, show: row => row.input, help: "What the network saw in this run." },
   { id: "groups", title: "group", value: row => row.groups, best: "low", text: true, show: row => row.groups, help: "Rows that share a number cannot be told apart." },
-  { id: "paper", title: "paper's figure", value: row => row.paper, best: "high", show: row => percent(row.paper), help: "What the paper reports for this method, on its data. Ours is on the data above." },
+  { id: "paper", title: "paper's figure", value: row => row.paper, best: "high", show: row => percent(row.paper), help: "What the paper reports for this method, on its own data; below, under “Data, protocol and digests”, stands whether ours are the same." },
 ];
 
 const DEFAULT = {

@@ -18,7 +18,7 @@ from leaderboard.page import facts, rows
 from leaderboard.page.clouds import Sample, drawn
 from leaderboard.scaling import FAR, Seen, extrapolate, group, learning_curves
 from leaderboard.settings import Loss, compared_rows
-from leaderboard.words import crosses, describe, duplicates, reported_name, row_title
+from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
 from partialbench.benchmark.protocol import milestones
 from partialbench.dataset.loader import ShardDataset
 
@@ -70,7 +70,7 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
                 "classes": first.train_data.class_names,
                 "crossed": crosses(column),
                 "duplicates": duplicates(column),
-                "reported": reported_name(column) if column.reported else "",
+                "reported": reported_head(column) if column.reported else "",
                 "rows": lines,
                 "facts": facts.sentences(column, lines, steps, given),
                 "settings": steps,
