@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,8 @@ from leaderboard.words import row_title
 from partialbench.benchmark.records import results
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.loader import ShardDataset
+from partialbench.dataset.samples import packed, scenes
 from partialbench.dataset.seeding import generator
-from partialbench.dataset.whole import whole_objects
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
 
@@ -35,7 +34,7 @@ class Sample:
     Attributes:
         row: of the test split, of the data whose digest is the column's.
         answers: (row title, class name, whether right, predicted canonical axes or None), in rank
-            order; the axes as in ``drawn``.
+            order; the axes in the camera frame, one a row.
     """
 
     digest: str
@@ -63,7 +62,9 @@ def free_test_splits(results_folder: Path, digests: set[str]) -> list[ShardDatas
     """
     beside = results_folder.resolve().parent
     found = []
-    for path in sorted([*beside.glob(f"*/{manifests.NAME}"), *beside.glob(f"data/*/{manifests.NAME}")]):
+    for path in sorted(
+        [*beside.glob(f"*/{manifests.NAME}"), *beside.glob(f"data/*/{manifests.NAME}")]
+    ):
         try:
             manifest = manifests.load(path.parent)
             clean = manifest.configuration["source"]["name"] in LICENCE_CLEAN
@@ -116,38 +117,22 @@ def disagreements(
 def drawn(samples: Sequence[Sample], data: Sequence[ShardDataset]) -> dict[str, dict[str, Any]]:
     """``Sample.cloud`` → what the page draws, each cloud once.
 
-    Points are in the camera frame about the object's centre, scaled so that all lie in the unit
-    ball, as ``_packed``; the axes are the true canonical ones, one a row.
+    The axes are the true canonical ones, one a row; all else as in ``Scene``.
     """
     found = {}
     for dataset in data:
         rows = sorted({sample.row for sample in samples if sample.digest == dataset.digest})
-        names = [str(dataset.object_ids[row]) for row in rows]
-        wholes = whole_objects(dataset.folder, "test", names, POINTS) if rows else {}
-        for row, name in zip(rows, names, strict=True):
-            points, rotation = dataset.points([row])[0].astype(float), dataset.rotations[row]
-            # A cloud without a camera, or of a release without translations, has its own centre.
-            centre = dataset.translations[row]
-            centre = centre if centre[2] > 0 else points.mean(axis=0)
-            whole = wholes[name] @ rotation.T if name in wholes else np.zeros((0, 3))
-            points = points - centre
-            size = max(1e-9, *np.linalg.norm(np.concatenate([points, whole]), axis=1))
-            label = dataset.class_names[dataset.labels[row]]
+        for row, scene in zip(rows, scenes(dataset, rows, POINTS), strict=True):
             found[f"{dataset.digest[:12]}-{row}"] = {
-                "object_id": name,
-                "true": label,
+                "object_id": str(dataset.object_ids[row]),
+                "true": dataset.class_names[dataset.labels[row]],
                 "visible": round(float(dataset.visible_fraction[row]), 4),
-                "points": _packed(points / size),
-                "whole": _packed(whole / size),
-                "axes": _axes(rotation),
+                "points": packed(scene.points),
+                "whole": packed(scene.whole),
+                "axes": np.round(scene.axes, 3).tolist(),
+                "camera": np.round(scene.camera, 3).tolist(),
             }
     return found
-
-
-def _packed(points: NDArray) -> str:
-    """(n,3) in [−1.27, 1.27] as base64 of bytes, hundredths from 128."""
-    bytes_ = np.clip(np.round(points * 100) + 128, 0, 255).astype(np.uint8)
-    return base64.b64encode(bytes_.tobytes()).decode()
 
 
 def _axes(rotation: NDArray) -> list[list[float]]:

@@ -22,7 +22,14 @@ def reproduce(seeds: tuple[Result, ...]) -> str:
     training says so by a placeholder, for a record names those by digest alone.
     """
     first = seeds[0]
-    words = ["partialbench", "eval", "--model", first.model, "--data", f"data/{first.train_data.id}"]
+    words = [
+        "partialbench",
+        "eval",
+        "--model",
+        first.model,
+        "--data",
+        f"data/{first.train_data.id}",
+    ]
     if first.test_data.digest != first.train_data.digest and (
         first.test_data.id != first.train_data.id
         or first.test_data.setting != first.train_data.setting

@@ -183,9 +183,7 @@ def condition_data(family: Family) -> dict[str, Any]:
             {
                 "id": name,
                 "title": row_title(family.column.cells[name].results[0]),
-                "points": [
-                    _finite((p.x, p.accuracy, p.low, p.high, p.pose_deg)) for p in points
-                ],
+                "points": [_finite((p.x, p.accuracy, p.low, p.high, p.pose_deg)) for p in points],
             }
             for name, points in family.curves.items()
         ],

@@ -21,9 +21,7 @@ def sentences(
     """
     main = [row for row in rows if row["main"]]
     return [
-        text
-        for text in (_best(main), _cost_of_settings(main, steps), _pose(main, given))
-        if text
+        text for text in (_best(main), _cost_of_settings(main, steps), _pose(main, given)) if text
     ]
 
 

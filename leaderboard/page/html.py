@@ -11,10 +11,15 @@ from typing import Any
 import jinja2
 
 from leaderboard.page.content import Found, content
+from partialbench.dataset import samples
 
 FOLDER = Path(__file__).parent
-SCRIPTS = ("elements.js", "charts.js", "state.js", "columns.js", "table.js", "details.js", "clouds.js", "main.js")
-"""In this order they make one script."""
+VIEWER = Path(samples.__file__).with_name("viewer.js")
+SCRIPTS = (
+    "elements.js", "charts.js", "state.js", "columns.js", "table.js", "details.js", "clouds.js",
+    "main.js",
+)  # fmt: skip
+"""In this order, after the viewer, they make one script."""
 
 
 def as_html(found: Found, folder: Path) -> str:
@@ -32,7 +37,8 @@ def as_html(found: Found, folder: Path) -> str:
 def render(data: dict[str, Any]) -> str:
     """The page of some ``content``."""
     style = (FOLDER / "style.css").read_text(encoding="utf-8")
-    script = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    scripts = [VIEWER, *(FOLDER / name for name in SCRIPTS)]
+    script = "\n".join(path.read_text(encoding="utf-8") for path in scripts)
     # Jinja ends a file with no newline, and a digest is of every byte.
     style, script = f"\n{style.strip()}\n", f'\n"use strict";\n{script.strip()}\n'
     environment = jinja2.Environment(

@@ -41,9 +41,7 @@ def draw() -> str:
         _dots(points[seen], "seen", 2.4),
         _camera(),
         '<g class="axes">'
-        + "".join(
-            _line(np.zeros(3), 1.05 * pose[:, i], f"a{name}") for i, name in enumerate("xyz")
-        )
+        + "".join(_line(np.zeros(3), 1.05 * pose[:, i], f"a{name}") for i, name in enumerate("xyz"))
         + "</g>",
     ]
     x, y = _place(CAMERA)
@@ -84,11 +82,14 @@ def _camera() -> str:
     right = np.cross(forward, (0, 0, 1))
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)
-    rim = [forward * 0.5 + 0.2 * (a * right + b * up) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    rim = [
+        forward * 0.5 + 0.2 * (a * right + b * up) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
     corners = [CAMERA + offset for offset in rim]
     outline = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in map(_place, corners)) + "Z"
     rays = "".join(
-        "M{:.1f} {:.1f}L{:.1f} {:.1f}".format(*_place(CAMERA), *_place(corner)) for corner in corners
+        "M{:.1f} {:.1f}L{:.1f} {:.1f}".format(*_place(CAMERA), *_place(corner))
+        for corner in corners
     )
     return f'<path class="camera" d="{outline}{rays}"/>'
 

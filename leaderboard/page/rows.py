@@ -162,7 +162,9 @@ def _confusions(first: Result, tested: list[tuple[Predictions, NDArray]]) -> lis
 
 def _reliability(tested: list[tuple[Predictions, NDArray]]) -> list[list[Any]]:
     """[mean confidence, share that is right, clouds] of equal bins of confidence that have any."""
-    confidence = np.concatenate([np.exp(p.log_probabilities[:, 0].astype(float)) for p, _ in tested])
+    confidence = np.concatenate(
+        [np.exp(p.log_probabilities[:, 0].astype(float)) for p, _ in tested]
+    )
     right = np.concatenate([p.predicted == label for p, label in tested])
     which = np.clip(np.ceil(confidence * BINS).astype(int) - 1, 0, BINS - 1)
     return [
