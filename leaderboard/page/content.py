@@ -136,7 +136,7 @@ def _without_milestone(column: Column) -> str:
 
 
 def setting_data(family: dict[str, Column], lost: dict[str, list[Loss]]) -> dict[str, Any]:
-    """Of each row that two settings or more have: its accuracy in each, and what each step costs."""
+    """Of each row that two settings have, or more: its accuracy in each, what each step costs."""
     return {
         "milestone": milestones.name(_clouds(next(iter(family.values())))),
         "settings": list(family),

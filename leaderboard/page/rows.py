@@ -76,7 +76,7 @@ def _row(
         "without_duplicates": _short(cell.mean("accuracy_without_duplicates")) if alone else None,
         "shared": _short(cell.mean("restricted_accuracy")) if crosses(column) else None,
         "calibration": _short(cell.mean("calibration_error")),
-        "pose": None if cell.pose is None else {k: _short(v) for k, v in cell.pose._asdict().items()},
+        "pose": cell.pose and {name: _short(v) for name, v in cell.pose._asdict().items()},
         "claims": sorted(first.card["invariances"]),
         "turned": _short(cell.drift),
         "input": model_input(first),
