@@ -99,7 +99,7 @@ def _points(found: Any) -> str:
 
 
 def _range(low: float, high: float) -> str:
-    return f"{100 * low:.1f} to {100 * high:.1f}"
+    return f"{100 * low:.1f} to {100 * high:.1f}".replace("-", "−")
 
 
 def _list(parts: list[str]) -> str:

@@ -62,9 +62,12 @@ function grid([first, ...places], rows, value, heading = String) {
 
 function whatItShows(column, width) {
   const main = column.rows.filter(row => row.main), steps = column.settings;
+  // Rows of another table, in this one's order.
+  const keyed = rows => rows.map(row => ({ ...row, key: main.findIndex(each => each.id === row.id) }))
+    .filter(row => row.key >= 0).sort((a, b) => a.key - b.key);
   const settings = steps && lineChart({
     caption: `From complete clouds in a known pose to what one side shows: accuracy of the same models after ${steps.milestone} clouds.`, width,
-    series: steps.rows.map(row => ({ name: row.title, points: row.shares.flatMap((share, i) => (share === null ? [] : [[i, 100 * share]])) })),
+    series: keyed(steps.rows).map(row => ({ name: row.title, key: row.key, points: row.shares.flatMap((share, i) => (share === null ? [] : [[i, 100 * share]])) })),
     x: { label: "what is tested", places: steps.settings.map((_, i) => i), text: i => steps.settings[i] }, y: { label: "accuracy (%)", least: 0, most: 100 },
   });
   const cost = state.tab === "cost" && lineChart({
@@ -74,7 +77,7 @@ function whatItShows(column, width) {
   });
   const topK = state.tab === "pose" && lineChart({
     caption: "Share of clouds whose true pose bin is among the k most probable of the 60.", width,
-    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
+    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: Math.min(main.indexOf(row), MOST_LINES - 1), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
     x: { label: "k", text: String }, y: { label: "share of clouds (%)", least: 0, most: 100 },
   });
   return h("section", { id: "shows" }, h("h2", {}, "What this shows"),
