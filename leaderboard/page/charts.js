@@ -91,7 +91,7 @@ function confusionMatrix(classes, perClass, confusions, width) {
   const names = classes.filter(name => perClass.some(([label]) => label === name) || confusions.some(c => classes[c[1]] === name));
   const index = new Map(names.map((name, i) => [name, i]));
   const margin = Math.min(86, 7 + 6.3 * Math.max(...names.map(n => Math.min(n.length, 13))));
-  const size = Math.min(width, 460), cell = (size - margin) / names.length, labelled = cell >= 7;
+  const size = Math.min(width, 460), cell = (size - margin) / names.length, labelled = cell >= 8;
   const square = (i, j, share, diagonal) => s("rect", {
     x: margin + j * cell, y: i * cell, width: cell * 0.94, height: cell * 0.94, "fill-opacity": Math.max(0.06, share), class: `cell ${diagonal ? "k0" : "k1"}`,
   }, s("title", {}, `${names[i]} named ${names[j]}: ${percent(share)} %`));
@@ -100,7 +100,7 @@ function confusionMatrix(classes, perClass, confusions, width) {
     perClass.map(([label, share]) => square(index.get(label), index.get(label), share, true)),
     confusions.map(([i, j, share]) => square(index.get(classes[i]), index.get(classes[j]), share, false)),
     labelled && names.map((name, i) => [
-      s("text", { x: margin - 4, y: (i + 0.5) * cell + 3, "text-anchor": "end", "font-size": Math.min(11, cell) }, short(name)),
-      s("text", { transform: `translate(${margin + (i + 0.5) * cell + 3},${size - margin + 4}) rotate(-90)`, "text-anchor": "end", "font-size": Math.min(11, cell) }, short(name)),
+      s("text", { x: margin - 4, y: (i + 0.5) * cell + 3, "text-anchor": "end", class: cell < 12 ? "small" : null }, short(name)),
+      s("text", { transform: `translate(${margin + (i + 0.5) * cell + 3},${size - margin + 4}) rotate(-90)`, "text-anchor": "end", class: cell < 12 ? "small" : null }, short(name)),
     ]));
 }
