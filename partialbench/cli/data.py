@@ -138,6 +138,7 @@ def render(
 ) -> None:
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
     from partialbench.dataset.card import paper_rows
+    from partialbench.dataset.objects import notice_lines
     from partialbench.dataset.render import plan_render
     from partialbench.progress import counting_bar
 
@@ -174,6 +175,8 @@ def render(
     if listing := getattr(plan.job.source, "listing", ""):
         stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
     manifest = _build(plan, workers, scheduler, retry_failed)
+    for line in notice_lines(out):
+        stderr.print(f"note: {line}", markup=False, soft_wrap=True)
     kinds = Counter(f["kind"] for f in manifest.failures)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
     print_result(
