@@ -90,7 +90,9 @@ def render(
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
     ] = False,
-    up: Annotated[str | None, typer.Option(help="the files' up axis, z or y [z]")] = None,
+    up: Annotated[
+        str | None, typer.Option(help="the files' up axis, z or y [z; modelnet40_ply_hdf5_2048: y]")
+    ] = None,
     scannet: Annotated[Path | None, typer.Option(help="ps15: folder of ScanNet scans")] = None,
     scan2cad: Annotated[Path | None, typer.Option(help="ps15: full_annotations.json")] = None,
     rooms: Annotated[int | None, typer.Option(help="ps15: how many rooms to simulate")] = None,
