@@ -122,7 +122,8 @@ class PlyHdf5Store:
         out = [r.location for r in listing.rejected]
         listing.words = (
             f"modelnet40_ply_hdf5_2048: {len(present)} classes, {counts['train']:,} training, "
-            f"{counts['test']:,} test objects; {splits}; taken for y up, as it is published, unless --up says otherwise"
+            f"{counts['test']:,} test objects; {splits}; y up, as it is published, unless "
+            f"--up says otherwise"
             + (f"; {len(out)} files left out: {', '.join(out)}" if out else "")
         )
 
