@@ -99,6 +99,7 @@ class PAPNet(nn.Module):
             raise InputError(f"grid must be a multiple of 8, at least 16, got {grid}")
         self.variant, self.symmetry, self.k = VARIANTS[variant], symmetry, k
         self.delta_deg, self.snap, self.pose_weight, self.grid = delta_deg, snap, pose_weight, grid
+        self.needs_poses = bool(self.variant.pose) or self.variant.given
         self.backbone = Backbone()
         if self.variant.pose:
             outputs = NUM_BINS if self.variant.pose == "bins" else 6

@@ -59,6 +59,7 @@ class PAPNetSteered(nn.Module):
         if concentration <= 0:
             raise InputError(f"concentration must be positive, got {concentration}")
         self.pose_weight, self.concentration = pose_weight, concentration
+        self.needs_poses = pose_weight > 0
         self.describe = Describe(lmax, channels, width, k)
         self.head = JointHead(channels, width, lmax, HIDDEN, num_classes, poses)
         self.poses: Tensor

@@ -70,7 +70,7 @@ def run(
     """
     campaign.results.mkdir(parents=True, exist_ok=True)
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
-    with sole_user(campaign.work):
+    with sole_user(campaign.work, "working on", "give it a folder of its own"):
         if retry_failed:
             job_files.write_failures(campaign.results / FAILURES, [])
         runner = _Runner(campaign, device, only, deadline, say)
