@@ -79,7 +79,6 @@ CARDS: tuple[ModelCard, ...] = (
         invariances=_INVARIANT,
         parameters={40: 423_656, 15: 420_431},
         recipe=_RICONV2_RECIPE,
-        short={"epochs": 3},
         published="baselines.riconv2:from_published",
         published_options={"quirks": "start+ring"},
         choices=(
@@ -106,7 +105,6 @@ CARDS: tuple[ModelCard, ...] = (
         invariances=_INVARIANT,
         parameters={40: 1_972_745, 15: 1_966_320},
         recipe=_VN_RECIPE,
-        short={"epochs": 2},
         published="baselines.vn_pointnet:from_published",
         choices=_VN_CHOICES,
         deviations=(_VN_CENTRED,),
@@ -134,7 +132,6 @@ CARDS: tuple[ModelCard, ...] = (
             smoothing_over_others=True,
             notes=_VN_RECIPE.notes,
         ),
-        short={"epochs": 1},
         published="baselines.vn_dgcnn:from_published",
         choices=(
             *_VN_CHOICES,
@@ -170,7 +167,6 @@ CARDS: tuple[ModelCard, ...] = (
                 "several times to obtain the best."
             ),
         ),
-        short={"epochs": 1},
         published="baselines.local_to_global:from_published",
         published_options={"quirks": "layout+neighbours+signs+dropout"},
         choices=(
