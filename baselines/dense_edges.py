@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from baselines.edges import edge_moments
-from baselines.points import flat_index
+from baselines.points import flat_index, full_precision
 from baselines.shared_mlp import Normed, autocast, chunks, maximum
 
 
@@ -56,18 +56,19 @@ def activated_edges(layer: Normed, a: Tensor, c: Tensor, index: Tensor, slope: f
 
     Args:
         layer: whose norm; it says nothing about how a and c come about.
-        a: (B,N,C) values of points.
-        c: (B,S,C) values of centres.
+        a: (B,N,C) values of points, in full precision: near points' digits cancel in the sum.
+        c: (B,S,C) values of centres, so too.
         index: (B,S,n) neighbours of each centre.
 
     Returns:
-        (B,S,n,C).
+        (B,S,n,C) in full precision.
     """
-    moments = edge_moments(a, c, index) if layer.norm.training else None
-    scale, shift = layer.scale_and_shift(moments, index.numel())
-    flat = flat_index(index, a.shape[1]).flatten(0, 1)
-    a, c = autocast((a * scale).flatten(0, 1), (c * scale + shift).flatten(0, 1))
-    return _ActivatedEdges.apply(a, c, flat, slope).unflatten(0, index.shape[:2])
+    with torch.autocast(a.device.type, enabled=False):
+        moments = edge_moments(a, c, index) if layer.norm.training else None
+        scale, shift = layer.scale_and_shift(moments, index.numel())
+        flat = flat_index(index, a.shape[1]).flatten(0, 1)
+        a, c = (a * scale).flatten(0, 1), (c * scale + shift).flatten(0, 1)
+        return _ActivatedEdges.apply(a, c, flat, slope).unflatten(0, index.shape[:2])
 
 
 class EdgeLayer(Normed):
@@ -80,7 +81,9 @@ class EdgeLayer(Normed):
     def forward(self, f: Tensor, centres: Tensor, index: Tensor) -> Tensor:
         """(B,N,C), (B,S,C), (B,S,n) → (B,S,n,C_out)."""
         relative, own = self.linear.weight.chunk(2, dim=1)
-        a, c = F.linear(f, relative), F.linear(centres, own - relative)
+        with torch.autocast(f.device.type, enabled=False):
+            a = F.linear(full_precision(f), relative)
+            c = F.linear(full_precision(centres), own - relative)
         return activated_edges(self, a, c, index, self.slope)
 
 

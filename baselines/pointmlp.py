@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from baselines.anchors import QUIRKS, anchors, nearest, num_anchors
 from baselines.dense_edges import NarrowLinear, activated_edges, residual_max
 from baselines.edges import cloud_edge_moments
-from baselines.points import gather, normalise
+from baselines.points import full_precision, gather, normalise
 from baselines.published import chosen_quirks, tensors
 from baselines.shared_mlp import Normed, NormLinear, activated, head
 from partialbench.benchmark.prediction import Prediction
@@ -60,17 +60,19 @@ class GroupLayer(Normed):
 
     def forward(self, f: Tensor, centres: Tensor, index: Tensor) -> Tensor:
         """(B,N,C), (B,S,C), (B,S,n) → (B,S,n,C_out)."""
-        mean, var = cloud_edge_moments(f, -centres, index)
-        with torch.autocast(f.device.type, enabled=False):
-            # Of all channels together; unbiased, as published.
-            count = index[0].numel() * f.shape[-1]
-            whole = (var + mean.square()).mean(dim=1) - mean.mean(dim=1).square()
-            spread = (whole * (count / max(1, count - 1))).clamp_min(1e-20).sqrt()
-            scale = (1 / (spread + EPS))[:, None, None]
         relative, own = self.linear.weight.chunk(2, dim=1)
-        a = F.linear(f, relative * self.alpha) * scale
-        c = F.linear(centres, own) - F.linear(centres, relative * self.alpha) * scale
-        return activated_edges(self, a, c + F.linear(self.beta, relative), index, 0.0)
+        with torch.autocast(f.device.type, enabled=False):
+            f, centres = full_precision(f), full_precision(centres)
+            mean, var = cloud_edge_moments(f, -centres, index)
+            # Of all channels together; unbiased, as published.
+            whole = (var + mean.square()).mean(dim=1) - mean.mean(dim=1).square()
+            count = index[0].numel() * f.shape[-1]
+            spread = (whole * (count / (count - 1))).clamp_min(1e-20).sqrt()
+            scale = (1 / (spread + EPS))[:, None, None]
+            a = F.linear(f, relative * self.alpha) * scale
+            c = F.linear(centres, own) - F.linear(centres, relative * self.alpha) * scale
+            c = c + F.linear(self.beta, relative)
+        return activated_edges(self, a, c, index, 0.0)
 
 
 class Stage(nn.Module):
@@ -121,7 +123,9 @@ class PointMLP(nn.Module):
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
         points = normalise(points, radius=1.0)
-        x = activated([self.embed], points)
+        # Neighbours are told apart by differences of these alone: no half precision here.
+        with torch.autocast(points.device.type, enabled=False):
+            x = activated([self.embed], points)
         counts = num_anchors(points.shape[1], ANCHORS)
         chosen = anchors(points, counts[0], self.quirks)
         kept, centres = gather(points, chosen), gather(x, chosen)
