@@ -8,11 +8,15 @@ Strawberry-Eat-Mango/PCT_Pytorch@0199a3b.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+
+from benchmarks.reference_invariant import VectorNorm, VectorReLU, nearest
+from benchmarks.reference_points import PointNet2
 
 
 def at(x: Tensor, index: Tensor) -> Tensor:
@@ -231,8 +235,55 @@ class PCT(nn.Module):
         return self.head(x.max(dim=-1).values)
 
 
+class CanonicalPCA24(nn.Module):
+    """One pose in training, all in evaluation, before PointNet++."""
+
+    def __init__(self, num_classes: int) -> None:
+        super().__init__()
+        self.backbone = PointNet2(num_classes)
+        turns = []
+        for axes in itertools.permutations(range(3)):
+            for signs in itertools.product((1.0, -1.0), repeat=3):
+                turn = torch.diag(torch.tensor(signs))[list(axes)]
+                turns += [turn] if torch.det(turn) > 0 else []
+        self.register_buffer("turns", torch.stack(turns))
+
+    def forward(self, points: Tensor) -> Tensor:
+        axes = torch.linalg.eigh(points.mT @ points).eigenvectors
+        axes = axes * torch.det(axes)[:, None, None]
+        canonical = points @ axes
+        if self.training:
+            return self.backbone(canonical @ self.turns[torch.randint(24, (len(points),))])
+        return sum(self.backbone(canonical @ turn) for turn in self.turns) / 24
+
+
+class CanonicalVN(nn.Module):
+    """Vector neurons on every edge, Gram and Schmidt, before PointNet++."""
+
+    def __init__(self, num_classes: int) -> None:
+        super().__init__()
+        self.edge = VectorReLU(3, 21, 0.0, dims=2)
+        self.first = VectorReLU(21, 21, 0.0)
+        self.norm = VectorNorm(21, 1)
+        self.second = VectorReLU(21, 4, 0.0)
+        self.backbone = PointNet2(num_classes)
+
+    def forward(self, points: Tensor) -> Tensor:
+        neighbours = at(points, nearest(points.mT, 20))
+        centre = points[:, :, None].expand_as(neighbours)
+        cross = torch.linalg.cross(neighbours, centre)
+        edges = torch.stack([neighbours - centre, centre, cross], dim=1).permute(0, 1, 4, 2, 3)
+        v = self.second(self.norm(self.first(self.edge(edges).mean(dim=-1)))).mean(dim=-1)
+        a = F.normalize(v[:, 0], dim=-1)
+        b = F.normalize(v[:, 1] - (v[:, 1] * a).sum(dim=-1, keepdim=True) * a, dim=-1)
+        frame = torch.stack([a, b, torch.linalg.cross(a, b)], dim=1)
+        return self.backbone(points @ frame.mT)
+
+
 REFERENCES: dict[str, Callable[[int], nn.Module]] = {
     "pointmlp-elite": PointMLP,
     "pointnext-s": PointNeXt,
     "pct": PCT,
+    "canonical-pca24": CanonicalPCA24,
+    "canonical-vn": CanonicalVN,
 }
