@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from baselines.canonical import RELEASED, Backbone
+from baselines.canonical import Backbone
 from baselines.dgcnn import SLOPE
 from baselines.points import full_precision, normalise
 from baselines.published import tensors

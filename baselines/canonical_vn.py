@@ -14,11 +14,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from baselines.canonical import Backbone
-from baselines.points import full_precision, normalise
+from baselines.points import normalise
 from baselines.processes import world_size
 from baselines.published import chosen_quirks, tensors
 from baselines.released_backbones import PlainPointNet
 from baselines.vector_neurons import (
+    EPS,
     VectorBatchNorm,
     VectorEdgeConv,
     VectorReLU,
@@ -30,8 +31,12 @@ from baselines.vn_dgcnn import vector_layer
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
+FADE = 0.3
+"""ε of the frame's layers, see ``vector_neurons.EPS``: clouds are of radius 1. The vectors of a
+cloud are means that nearly cancel, so that one point's false direction turns its frame."""
 QUIRKS = {
     "mirror": "a third vector gives the frame's last axis, so that half of the clouds are mirrored",
+    "epsilon": "a vector of any length has a direction, also where rounding gives it",
     "dropout": "half of the vectors' components are dropped in training",
 }
 """What the release does that the row does not."""
@@ -60,15 +65,16 @@ class FrameNet(nn.Module):
     Args:
         k: neighbours, the point itself included.
         dropout: share of the vectors' components dropped in training.
+        eps: see ``vector_neurons.EPS``.
     """
 
-    def __init__(self, k: int, dropout: float) -> None:
+    def __init__(self, k: int, dropout: float, eps: float) -> None:
         super().__init__()
         self.k = k
-        self.edge = VectorEdgeConv(1, 21, 0.0, cross=True)
-        self.first = VectorReLU(21, 21, 0.0)
-        self.norm = VectorBatchNorm(21)
-        self.second = VectorReLU(21, 4, 0.0)
+        self.edge = VectorEdgeConv(1, 21, 0.0, cross=True, eps=eps)
+        self.first = VectorReLU(21, 21, 0.0, eps=eps)
+        self.norm = VectorBatchNorm(21, eps)
+        self.second = VectorReLU(21, 4, 0.0, eps=eps)
         self.dropout = nn.Dropout(dropout)
 
     def forward(self, points: Tensor) -> Tensor:
@@ -109,7 +115,8 @@ class CanonicalVN(nn.Module):
         if prior < 0:
             raise InputError(f"prior must be 0 or more, got {prior}")
         self.quirks, self.prior = chosen_quirks(quirks, QUIRKS), prior
-        self.frame = FrameNet(k, 0.5 if "dropout" in self.quirks else 0.0)
+        eps = EPS if "epsilon" in self.quirks else FADE
+        self.frame = FrameNet(k, 0.5 if "dropout" in self.quirks else 0.0, eps)
         self.backbone = Backbone(num_classes, backbone, backbone_options or {}, PlainPointNet)
 
     def canonical(self, points: Tensor) -> tuple[Tensor, Tensor]:

@@ -121,13 +121,14 @@ def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tens
     state = {name.removeprefix("module."): torch.as_tensor(v) for name, v in state.items()}
     prefixes = {"linear1": "head.0", "bn6": "head.1", "linear2": "head.4", "bn7": "head.5"}
     prefixes |= {"linear3": "head.8", "conv_fuse.0": "join.linear", "conv_fuse.1": "join.norm"}
-    layers = {}
+    layers: dict[str, str] = {}
     for i in range(2):
         layers |= {f"conv{i + 1}": f"embed.{i}.linear", f"bn{i + 1}": f"embed.{i}.norm"}
         layers |= {f"pt_last.conv{i + 1}": f"mix.{i}.linear", f"pt_last.bn{i + 1}": f"mix.{i}.norm"}
         for j, name in enumerate(("first", "second")):
             local, ours = f"gather_local_{i}", f"levels.{i}.{name}"
-            layers |= {f"{local}.conv{j + 1}": f"{ours}.linear", f"{local}.bn{j + 1}": f"{ours}.norm"}
+            layers |= {f"{local}.conv{j + 1}": f"{ours}.linear"}
+            layers |= {f"{local}.bn{j + 1}": f"{ours}.norm"}
     for i in range(4):
         theirs, ours = f"pt_last.sa{i + 1}", f"attention.{i}"
         layers |= {f"{theirs}.q_conv": f"{ours}.query", f"{theirs}.v_conv": f"{ours}.value"}

@@ -6,6 +6,7 @@ Source: Qian et al., PointNeXt, NeurIPS 2022; guochengqian/PointNeXt@02341db, op
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -71,7 +72,7 @@ class PointNeXt(nn.Module):
         widths = (32, 64, 128, 256, 512)
         self.levels = nn.ModuleList(
             SetAbstraction(a, b, RADIUS * GROWTH**i, "order" not in self.quirks)
-            for i, (a, b) in enumerate(zip(widths, widths[1:], strict=False))
+            for i, (a, b) in enumerate(pairwise(widths))
         )
         self.last = SharedMLP(515, 512, 512, bias=False)
         self.head = nn.Sequential(
