@@ -107,6 +107,22 @@ def draw_all(
     return figures
 
 
+def files(
+    board: list[Column],
+    comparisons: list[Comparison],
+    families: list[Family],
+    given_poses: list[GivenPoses],
+    folder: Path,
+) -> dict[str, bytes]:
+    """Path below the board's folder → content: every figure as SVG and as PNG."""
+    drawn = draw_all(board, comparisons, families, given_poses, folder)
+    return {
+        f"figures/{name}.{kind}": to_bytes(figure, kind)
+        for name, (_, figure) in drawn.items()
+        for kind in ("svg", "png")
+    }
+
+
 def to_bytes(figure: Figure, kind: str) -> bytes:
     """The figure as "svg" or "png", without the date matplotlib would add."""
     buffer = io.BytesIO()
