@@ -83,8 +83,9 @@ class PAPNetSteered(nn.Module):
             rotation: (B,3,3) object → camera, where the pose is known; by default all poses count.
 
         Returns:
-            log-probabilities of the class (B,K), the sum over the poses or under the given one, and
-            of the bin (B,60), to which the poses nearest to it count.
+            log-probabilities of the class (B,K), the sum over the poses, or unnormalised under the
+            given one, so that answers under several poses compare; and log-probabilities of the
+            bin (B,60), to which the poses nearest to it count.
         """
         x = self.describe(points)
         joint = _log_joint(self.head(x))
@@ -96,7 +97,7 @@ class PAPNetSteered(nn.Module):
                     f"expected one rotation per cloud, shape {(len(points), 3, 3)}, "
                     f"got {tuple(rotation.shape)}"
                 )
-            classes = full_precision(self.head(x, rotation[:, None])[:, 0]).log_softmax(-1)
+            classes = full_precision(self.head(x, rotation[:, None])[:, 0])
         # The floor keeps the logarithm finite where every pose of a bin has underflowed.
         bins = (joint.logsumexp(2).exp() @ self.share).clamp_min(1e-30).log()
         return Prediction(classes, bins)
