@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import inspect
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
 
 from partialbench.benchmark.clouds import Clouds
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import euler_noise, haar_rotations
 from partialbench.geometry.symmetry import map_rotations
+
+if TYPE_CHECKING:
+    from torch import nn
 
 RANDOM = "random"
 ARGUMENT = "rotation"
@@ -34,7 +37,7 @@ def parse(text: str | float) -> str:
         return RANDOM
     try:
         delta_deg = float(text)
-    except ValueError:
+    except (TypeError, ValueError):
         delta_deg = math.nan
     if not 0 <= delta_deg <= 180:
         raise InputError(
