@@ -34,8 +34,16 @@ class Reads(nn.Module):
 
 @pytest.mark.parametrize(
     ("text", "name"),
-    [("0", "0"), (0, "0"), ("0.0", "0"), ("15", "15"), (7.5, "7.5"), ("random", "random"),
-     ("class:0", "class:0"), ("class:15.0", "class:15")],
+    [
+        ("0", "0"),
+        (0, "0"),
+        ("0.0", "0"),
+        ("15", "15"),
+        (7.5, "7.5"),
+        ("random", "random"),
+        ("class:0", "class:0"),
+        ("class:15.0", "class:15"),
+    ],
 )
 def test_names_of_poses(text, name):
     assert given_pose.parse(text) == name

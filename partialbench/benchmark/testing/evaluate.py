@@ -21,8 +21,12 @@ from partialbench.benchmark.records.predictions import (
     deciding_classes,
 )
 from partialbench.benchmark.testing import duplicates
+<<<<<<< HEAD
 from partialbench.benchmark.testing.given_pose import ARGUMENT, Told
 from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
+=======
+from partialbench.benchmark.testing.isolation import State, keyed_draws, unchanged
+>>>>>>> qa-measure
 from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
 
@@ -43,17 +47,19 @@ def run_model(
     """The model's answers for ``rows``, batch by batch, in evaluation mode and full precision.
 
     Clouds are the first points of the stored order: no augmentation, no votes. What a model itself
-    draws is keyed by the batch.
+    draws is keyed by the batch, and after each it is what it was: no batch sees an earlier one.
 
     Args:
         given: what is told of the poses of ``rows``; by default the model has its own. Under
             several, each class's logit is of the answer under its own; the rest of the first's.
     """
     model.eval()
+    state = State(model)
     for start in range(0, len(rows), batch_size):
         chosen = rows[start : start + batch_size]
         points, beside = inputs.of_rows(model, dataset, chosen, device)
         # Not around the yield: a generator must not leave its caller without gradients.
+<<<<<<< HEAD
         with torch.inference_mode():
             if given is None:
                 poses: list[dict[str, Tensor]] = [{}]
@@ -76,6 +82,13 @@ def _judged(answers: list[Prediction], hypothesis: NDArray[np.int64]) -> Tensor:
     logits = torch.stack([answer.class_logits for answer in answers])
     classes = torch.arange(logits.shape[2], device=logits.device)
     return logits[torch.from_numpy(hypothesis).to(logits.device), :, classes].T
+=======
+        with (
+            unchanged(model, state), torch.inference_mode(), keyed_draws(start, device=device)
+        ):  # fmt: skip
+            output = model(points, **told)
+        yield chosen, as_prediction(output, len(chosen), num_classes)
+>>>>>>> qa-measure
 
 
 def predict_rows(
@@ -91,8 +104,7 @@ def predict_rows(
 ) -> Predictions:
     """Predictions for ``rows`` of a test split.
 
-    The clouds are scored in a fixed shuffled order, so that no batch is of one class, and the model
-    is afterwards what it was.
+    The clouds are scored in a fixed shuffled order, so that no batch is of one class.
 
     Args:
         class_names: of the model, which may have been trained on other classes than ``dataset``'s.
@@ -110,13 +122,12 @@ def predict_rows(
     told = None if given is None else given._replace(rotations=given.rotations[order])
     known = _shared(class_names, dataset.class_names)
     parts: list[dict[str, Tensor]] = []
-    with unchanged(model):
-        answers = run_model(model, dataset, rows[order], len(class_names), device, batch_size, told)
-        for chosen, prediction in answers:
-            _require_finite(prediction.class_logits, chosen)
-            if not dataset.has_poses:  # nothing tells whether its poses are right
-                prediction = prediction._replace(pose_logits=None)
-            parts.append(_kept(prediction, known, answers_alone))
+    answers = run_model(model, dataset, rows[order], len(class_names), device, batch_size, told)
+    for chosen, prediction in answers:
+        _require_finite(prediction.class_logits, chosen)
+        if not dataset.has_poses:  # nothing tells whether its poses are right
+            prediction = prediction._replace(pose_logits=None)
+        parts.append(_kept(prediction, known, answers_alone))
     back = np.argsort(order)
     kept = {name: torch.cat([part[name] for part in parts]).numpy()[back] for name in parts[0]}
     return Predictions(
@@ -174,8 +185,7 @@ def quick_accuracy(
     if len(rows) == 0:
         return None
     hits = 0
-    with unchanged(model):
-        for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
-            answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
-            hits += int((answer == dataset.labels[chosen]).sum())
+    for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
+        answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
+        hits += int((answer == dataset.labels[chosen]).sum())
     return hits / len(rows)
