@@ -8,12 +8,8 @@ from pathlib import Path
 import pytest
 
 from partialbench.benchmark.campaign.file import load
-<<<<<<< HEAD
 from partialbench.benchmark.campaign.jobs import Condition, Ledger, all_jobs, from_dict
-=======
-from partialbench.benchmark.campaign.jobs import Condition, all_jobs
 from partialbench.benchmark.campaign.run import run
->>>>>>> qa-measure
 from partialbench.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,17 +105,18 @@ def test_an_entry_may_change_the_protocol_and_is_then_another_training(tmp_path)
         ('"100"', '"many"', "many"),
         ('render = "pm40 --counts 2,1 --views 1"', 'rendr = "x"', "has no field 'rendr'"),
         ("--views 1", "--views 1 --out x", "must not say --out"),
-<<<<<<< HEAD
-        ("points = 64", "protocol = {strech = 2}", "line 18: .* no field 'strech'; did you mean st"),
+        (
+            "points = 64",
+            "protocol = {strech = 2}",
+            "line 18: .* no field 'strech'; did you mean st",
+        ),
         ("points = 64", "protocol = {stretch = 0.5}", "stretch must be 1 .none. or more, got 0.5"),
-=======
         ("--views 1", "--views '1", "line 7: render of .data.shapes.: No closing quotation"),
         ("tries = [{lr = 0.001}, {lr = 0.002}]", 'tries = "lr"', "tries must be a list of tables"),
         ("points = 64", "points = 0", "line 18: points must be 1 or more, got 0"),
         ("points = 64", 'precision = "64-true"', "line 18: precision '64-true' is not trained in"),
         ("points = 64", 'poses = ["up"]', "a test pose is 'random' or the half width"),
         ('"dgcnn"', '"./none.py:make"', "line 13: no file at none.py"),
->>>>>>> qa-measure
         ("[[tune]]", "[[tune]", "is not TOML: .*line 20"),
     ],
 )

@@ -216,7 +216,6 @@ class _Reader:
                 raise self.wrong(f"[[{kind}]]", f"a [[{kind}]] needs {name}")
         models = self.several(fields["models"], str, "models")
         recipe = dict(self.table(fields.get("recipe", {}), "recipe"))
-<<<<<<< HEAD
         changes = dict(self.table(fields.get("protocol", {}), "protocol"))
         try:
             protocol = protocols.protocol(preset, **changes)
@@ -225,20 +224,13 @@ class _Reader:
         # What the preset has anyway is no change: such an entry's trainings are the preset's own.
         own_fields, followed = protocols.PRESETS[preset].as_dict(), protocol.as_dict()
         changes = {name: followed[name] for name in changes if followed[name] != own_fields[name]}
-=======
         tries = self.tables(fields.get("tries", []), "tries")
->>>>>>> qa-measure
         for model in models:
             try:
                 preflight.check_model(model)
                 own = recipes.of_protocol(card_of(model), protocol)
-<<<<<<< HEAD
-                for tried in (recipe, *fields.get("tries", [])):
+                for tried in (recipe, *tries):
                     recipes.override(own, tried)
-=======
-                for changes in (recipe, *tries):
-                    recipes.override(own, changes)
->>>>>>> qa-measure
             except InputError as error:
                 raise self.wrong(model, str(error)) from error
         names = self.several(fields["data"], str, "data")
@@ -267,12 +259,8 @@ class _Reader:
             tuple(sorted(clouds)),
             dict(self.table(fields.get("options", {}), "options")),
             recipe,
-<<<<<<< HEAD
-            self.text(fields.get("precision", "32-true"), "precision"),
-            changes,
-=======
             precision,
->>>>>>> qa-measure
+            changes,
             self.several(seeds, int, "seeds"),
             tests,
             self.several(fields.get("points", []), int, "points"),

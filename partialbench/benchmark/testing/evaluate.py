@@ -21,12 +21,8 @@ from partialbench.benchmark.records.predictions import (
     deciding_classes,
 )
 from partialbench.benchmark.testing import duplicates
-<<<<<<< HEAD
 from partialbench.benchmark.testing.given_pose import ARGUMENT, Told
-from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
-=======
 from partialbench.benchmark.testing.isolation import State, keyed_draws, unchanged
->>>>>>> qa-measure
 from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
 
@@ -59,7 +55,6 @@ def run_model(
         chosen = rows[start : start + batch_size]
         points, beside = inputs.of_rows(model, dataset, chosen, device)
         # Not around the yield: a generator must not leave its caller without gradients.
-<<<<<<< HEAD
         with torch.inference_mode():
             if given is None:
                 poses: list[dict[str, Tensor]] = [{}]
@@ -68,7 +63,7 @@ def run_model(
                 poses = [{ARGUMENT: each} for each in of_batch.unbind(1)]
             answers = []
             for pose in poses:
-                with keyed_draws(start, device=device):
+                with unchanged(model, state), keyed_draws(start, device=device):
                     output = model(points, **beside, **pose)
                 answers.append(as_prediction(output, len(chosen), num_classes))
             prediction = answers[0]
@@ -82,13 +77,6 @@ def _judged(answers: list[Prediction], hypothesis: NDArray[np.int64]) -> Tensor:
     logits = torch.stack([answer.class_logits for answer in answers])
     classes = torch.arange(logits.shape[2], device=logits.device)
     return logits[torch.from_numpy(hypothesis).to(logits.device), :, classes].T
-=======
-        with (
-            unchanged(model, state), torch.inference_mode(), keyed_draws(start, device=device)
-        ):  # fmt: skip
-            output = model(points, **told)
-        yield chosen, as_prediction(output, len(chosen), num_classes)
->>>>>>> qa-measure
 
 
 def predict_rows(

@@ -14,12 +14,8 @@ from __future__ import annotations
 
 import inspect
 import math
-<<<<<<< HEAD
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
-=======
-from typing import TYPE_CHECKING
->>>>>>> qa-measure
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,17 +62,10 @@ def parse(text: str | float) -> str:
         return RANDOM
     prefix = PER_CLASS if isinstance(text, str) and text.startswith(PER_CLASS) else ""
     try:
-<<<<<<< HEAD
         delta = float(str(text)[len(prefix) :])
-    except ValueError:
+    except (TypeError, ValueError):
         delta = math.nan
     if not 0 <= delta <= 180:
-=======
-        delta_deg = float(text)
-    except (TypeError, ValueError):
-        delta_deg = math.nan
-    if not 0 <= delta_deg <= 180:
->>>>>>> qa-measure
         raise InputError(
             f"a test pose is '{RANDOM}' or the half width in degrees of the noise on each Euler "
             f"angle of the true pose, 0 to 180 (0: the true pose itself), or '{PER_CLASS}' and "
