@@ -15,6 +15,7 @@ from partialbench.benchmark import inputs
 from partialbench.benchmark.captures import captures, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
+from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.benchmark.training import checkpoint
 from partialbench.benchmark.training.trunk import RunFolder, progress
 from partialbench.dataset.seeding import generator
@@ -125,7 +126,8 @@ class Classifier:
         count, names = self.content["num_points"], self.content["class_names"]
         clouds = draw(given, count, min(votes, max(1, len(given) // count)))
         try:
-            with torch.inference_mode():
+            # What a model draws or remembers is of no other file: the same file, the same answer.
+            with unchanged(self.model), torch.inference_mode(), keyed_draws(device=self.device):
                 output = self.model(torch.from_numpy(clouds).to(self.device))
             prediction = as_prediction(output, len(clouds), len(names))
         except Exception as error:  # whatever a model does not like about a cloud
