@@ -11,13 +11,13 @@ from typing import Any
 
 from leaderboard.board import Column
 from leaderboard.comparison import Comparison
-from leaderboard.curves import Family
-from leaderboard.given import GivenPoses
-from leaderboard.layouts import Layout
 from leaderboard.page import facts, rows
 from leaderboard.page.clouds import Sample, drawn
 from leaderboard.scaling import FAR, Seen, extrapolate, group, learning_curves
-from leaderboard.settings import Loss, compared_rows
+from leaderboard.tables.curves import Family
+from leaderboard.tables.given import GivenPoses
+from leaderboard.tables.layouts import Layout
+from leaderboard.tables.settings import Loss, compared_rows
 from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
 from partialbench.benchmark.protocol import milestones
 from partialbench.dataset.loader import ShardDataset

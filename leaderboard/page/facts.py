@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from leaderboard.board import Column
-from leaderboard.settings import Loss
+from leaderboard.tables.settings import Loss
 from leaderboard.words import percent
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import share_correct
-from leaderboard.layouts import Layout
+from leaderboard.tables.layouts import Layout
 from leaderboard.words import difference, row_title
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.given_pose import PER_CLASS, RANDOM, delta_deg
