@@ -15,7 +15,7 @@ from leaderboard.page import facts, rows
 from leaderboard.page.clouds import Sample, drawn
 from leaderboard.scaling import FAR, Seen, extrapolate, group, learning_curves
 from leaderboard.tables.curves import Family
-from leaderboard.tables.given import GivenPoses
+from leaderboard.tables.given import GivenPoses, heading
 from leaderboard.tables.layouts import Layout
 from leaderboard.tables.settings import Loss, compared_rows
 from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
@@ -161,7 +161,7 @@ def setting_data(family: dict[str, Column], lost: dict[str, list[Loss]]) -> dict
 def given_data(given: GivenPoses) -> dict[str, Any]:
     """Accuracies under each pose that rows were told, with intervals."""
     return {
-        "poses": given.poses,
+        "poses": [[pose, heading(pose)] for pose in given.poses],
         "rows": [
             {
                 "id": name,

@@ -8,7 +8,6 @@ const EMPTY = {
   pose: "No model that finds poses was tested yet; papnet and papnet-steered do.",
   cost: "No model was tested yet.",
 };
-const POSES = { own: "its own pose", 0: "the true pose", random: "a random pose" };
 
 function choices(id, label, options, value, change) {
   if (options.length < 2) return h("span", {}, `${label} `, h("strong", {}, options[0]?.[1] || dash));
@@ -44,10 +43,10 @@ function conditions(column, width) {
 
 function given(column) {
   if (!column.given) return null;
-  const title = pose => POSES[pose] || `± ${pose}°`;
+  const titles = new Map(column.given.poses);
   return h("section", {}, h("h2", {}, "What the pose is worth"),
     h("p", { class: "about" }, "Accuracy (%) of the same weights with the pose they find themselves, and told the labelled one, that with noise on every Euler angle, or one at random. Gain: of the true pose over its own, paired."),
-    grid(["model", ...column.given.poses, "gain"], column.given.rows, (row, pose) => (pose === "gain" ? row.gain : row.accuracy[pose]), pose => (pose === "gain" ? pose : title(pose))));
+    grid(["model", ...titles.keys(), "gain"], column.given.rows, (row, pose) => (pose === "gain" ? row.gain : row.accuracy[pose]), pose => titles.get(pose) || pose));
 }
 
 // A table of means with their intervals.
