@@ -8,10 +8,10 @@ import math
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.curves import Family
-from leaderboard.given import GivenPoses
-from leaderboard.layouts import Layout
-from leaderboard.plain import csv_cell, markdown
+from leaderboard.tables.curves import Family
+from leaderboard.tables.given import GivenPoses
+from leaderboard.tables.layouts import Layout
+from leaderboard.tables.plain import csv_cell, markdown
 from leaderboard.words import (
     budget,
     crosses,
