@@ -17,6 +17,7 @@ from leaderboard.output import write_board
 from leaderboard.poses import pose_layouts
 from leaderboard.settings import setting_layouts
 from leaderboard.transductive import transductive_layouts
+from leaderboard.transfer import transfer_layouts
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
 from partialbench.errors import InputError
@@ -80,6 +81,7 @@ def build_leaderboard(
         *setting_layouts(board, folder),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *transfer_layouts(board, folder),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
