@@ -104,7 +104,7 @@ def equal_terms(within: Column, across: Column, folder: Path) -> Transfer:
     sides = []
     for side in (0, 1):
         values = np.stack([of_row[side].right for of_row in tested.values()], axis=1)
-        sides.append(_draws(values, truths[side], shared))
+        sides.append(_draws(values, truths[side], shared, side))
     inside, outside = sides
     rows, gains = {}, {}
     for i, name in enumerate(tested):
@@ -134,20 +134,22 @@ def _right(cell: Cell, seeds: set[int], folder: Path) -> _Right:
     return _Right(names, predictions.object_ids, np.mean(shares, axis=0))
 
 
-def _draws(values: NDArray, truth: _Right, shared: NDArray) -> NDArray[np.float64]:
+def _draws(
+    values: NDArray, truth: _Right, shared: NDArray, side: int
+) -> NDArray[np.float64]:
     """(1 + resamples,R) means over classes of their means over clouds; objects are resampled within
     each class, so that every class keeps its weight. NaN but for the first where a class has one
     object."""
     of_classes = []
     for name in shared:
         rows = truth.classes == name
-        drawn = bootstrap_means(values[rows], truth.object_ids[rows], seed=_seed(str(name)))
+        drawn = bootstrap_means(values[rows], truth.object_ids[rows], seed=_seed(f"{side}{name}"))
         of_classes.append(np.concatenate([values[rows].mean(axis=0)[None], drawn]))
     return np.mean(of_classes, axis=0)
 
 
 def _seed(name: str) -> int:
-    """Classes of equally many objects are not to be resampled alike."""
+    """Classes of equally many objects, and the two sides, are not to be resampled alike."""
     return int.from_bytes(name.encode()[:6], "big")
 
 
