@@ -225,7 +225,11 @@ def _change(study: Study, name: str) -> str:
 
 
 def select(
-    records: Iterable[Result], models: Sequence[str], data: str, test: str, clouds: int,
+    records: Iterable[Result],
+    models: Sequence[str],
+    data: str,
+    test: str,
+    clouds: int,
     where: Mapping[str, Any],
 ) -> list[Result]:
     """The records of a study: of these models, data and milestone, under no other condition.
@@ -237,9 +241,13 @@ def select(
     kept = []
     for result in records:
         ids = (result.train_data.id, result.test_data.id, result.clouds)
-        if result.model in models and ids == (data, test, clouds) and not result.conditions:
-            if all(_fits(result, name, value) for name, value in where.items()):
-                kept.append(result)
+        if (
+            result.model in models
+            and ids == (data, test, clouds)
+            and not result.conditions
+            and all(_fits(result, name, value) for name, value in where.items())
+        ):
+            kept.append(result)
     if not kept:
         raise InputError(
             f"no records of {', '.join(models)} on {data}, tested on {test}, at "

@@ -134,9 +134,7 @@ def _right(cell: Cell, seeds: set[int], folder: Path) -> _Right:
     return _Right(names, predictions.object_ids, np.mean(shares, axis=0))
 
 
-def _draws(
-    values: NDArray, truth: _Right, shared: NDArray, side: int
-) -> NDArray[np.float64]:
+def _draws(values: NDArray, truth: _Right, shared: NDArray, side: int) -> NDArray[np.float64]:
     """(1 + resamples,R) means over classes of their means over clouds; objects are resampled within
     each class, so that every class keeps its weight. NaN but for the first where a class has one
     object."""

@@ -1,4 +1,4 @@
-"""The mean of weights over a branch: the plain mean, resumed to the bit, with its own statistics."""
+"""The mean of weights over a branch: resumed to the bit, and with statistics of its own."""
 
 from __future__ import annotations
 

@@ -104,7 +104,11 @@ def test_an_entry_may_change_the_protocol_and_is_then_another_training(tmp_path)
         ('"100"', '"many"', "many"),
         ('render = "pm40 --counts 2,1 --views 1"', 'rendr = "x"', "has no field 'rendr'"),
         ("--views 1", "--views 1 --out x", "must not say --out"),
-        ("points = 64", "protocol = {strech = 2}", "line 18: .* no field 'strech'; did you mean st"),
+        (
+            "points = 64",
+            "protocol = {strech = 2}",
+            "line 18: .* no field 'strech'; did you mean",
+        ),
         ("points = 64", "protocol = {stretch = 0.5}", "stretch must be 1 .none. or more, got 0.5"),
         ("[[tune]]", "[[tune]", "is not TOML: .*line 20"),
     ],

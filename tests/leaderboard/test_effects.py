@@ -109,7 +109,7 @@ def test_what_would_not_be_a_comparison_is_refused(folder, tmp_path):
         level(chosen(folder)[0], "rays")
     for at, seed in (((0, 0, 0), 0), ((1, 1, 0), 0)):
         add_cell(tmp_path, at, seed, 0.5)
-    with pytest.raises(InputError, match="no records of pose_weight=0.0, ray=True; pose_weight=0"):
+    with pytest.raises(InputError, match=r"no records of pose_weight=0.0, ray=True; pose_weight=0"):
         analyse(chosen(tmp_path), tmp_path, ("pose_weight", "ray"))
     with pytest.raises(InputError, match=r"differ in more than|each cell has one seed"):
         analyse(chosen(tmp_path), tmp_path, ("pose_weight",))

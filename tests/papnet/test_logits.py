@@ -157,5 +157,5 @@ def test_the_published_network_is_computed_as_published() -> None:
         for model in (published, ours)
     ]
     assert limits == [{None}, {LIMIT}]
-    with pytest.raises(InputError, match="limit must be 0 .none. or at least 1, got 0.5"):
+    with pytest.raises(InputError, match=r"limit must be 0 .none. or at least 1, got 0.5"):
         create("papnet", 5, limit=0.5)

@@ -74,9 +74,7 @@ def delta_deg(name: str) -> float:
     return float(name.removeprefix(PER_CLASS))
 
 
-def told(
-    name: str, dataset: Clouds, rows: NDArray[np.int64], class_names: Sequence[str]
-) -> Told:
+def told(name: str, dataset: Clouds, rows: NDArray[np.int64], class_names: Sequence[str]) -> Told:
     """What a model with these classes is told of some rows of a test split.
 
     Args:
