@@ -20,6 +20,7 @@ from leaderboard.tables.layouts import layouts
 from leaderboard.tables.poses import pose_layouts
 from leaderboard.tables.settings import as_layout, losses, setting_families
 from leaderboard.tables.transductive import transductive_layouts
+from leaderboard.tables.transfer import transfer_layouts
 from leaderboard.tables.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
 from partialbench.errors import InputError
@@ -98,6 +99,7 @@ def build_leaderboard(
         *(as_layout(family, lost) for family, lost in settings),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *transfer_layouts(board, folder),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
