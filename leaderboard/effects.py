@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from leaderboard.comparison import correct
-from leaderboard.tables import layout_as_markdown
 from leaderboard.tables.layouts import Layout
+from leaderboard.tables.text import layout_as_markdown
 from leaderboard.words import difference, percent
 from partialbench import registry
 from partialbench.benchmark.protocol import milestones
@@ -117,7 +117,7 @@ def analyse(records: Sequence[Result], folder: Path, factors: Sequence[str]) -> 
         means.append([float(np.mean(right)) for right in seeds])
     assert reference is not None
     signs = {f: _signs(i, len(factors)) for i, f in enumerate(factors)}
-    wanted = [(f,) for f in factors] + list(itertools.combinations(factors, 2))
+    wanted: list[tuple[str, ...]] = [*((f,) for f in factors), *itertools.combinations(factors, 2)]
     effects = {
         names: contrast(
             np.stack(values, axis=1), reference[1], means,
