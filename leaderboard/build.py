@@ -27,7 +27,22 @@ def build_leaderboard(
     check: bool = False,
     data: Sequence[Path | str] = (),
 ) -> list[Path]:
-    """Writes leaderboard.md, .csv, .tex and .html, two more .csv and figures/*.svg and *.png.
+    """Writes what ``board_files`` makes; returns the paths.
+
+    Raises:
+        InputError: see there; nothing is written.
+    """
+    out, contents = Path(out), board_files(results_folder, check, data)
+    (out / "figures").mkdir(parents=True, exist_ok=True)
+    for name, content in contents.items():
+        write_atomically(out / name, content)
+    return [out / name for name in contents]
+
+
+def board_files(
+    results_folder: Path | str, check: bool = False, data: Sequence[Path | str] = ()
+) -> dict[str, bytes]:
+    """leaderboard.md, .csv, .tex and .html, two more .csv and figures/*.svg and *.png, by name.
 
     The same records (and data) give the same bytes.
 
@@ -37,14 +52,10 @@ def build_leaderboard(
             disagree from those whose digest fits. They become part of the page; whoever passes it
             on needs the right to.
 
-    Returns:
-        the paths.
-
     Raises:
-        InputError: no records, or some that cannot be trusted: all that is wrong is listed, and
-            nothing is written.
+        InputError: no records, or some that cannot be trusted: all that is wrong is listed.
     """
-    folder, out = Path(results_folder), Path(out)
+    folder = Path(results_folder)
     _require_none(problems(folder, recompute=check), folder)
     test_sets = [gallery.open_test_split(Path(each)) for each in data]
     if check:
@@ -91,10 +102,7 @@ def build_leaderboard(
     for name, (_, figure) in drawn.items():
         contents[f"figures/{name}.svg"] = svgs[name][1]
         contents[f"figures/{name}.png"] = figures.to_bytes(figure, "png")
-    (out / "figures").mkdir(parents=True, exist_ok=True)
-    for name, content in contents.items():
-        write_atomically(out / name, content)
-    return [out / name for name in contents]
+    return contents
 
 
 def _require_none(wrong: list[str], folder: Path) -> None:

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from partialbench import registry
 from partialbench.benchmark import preflight
 from partialbench.console import continued_by, stderr
 
@@ -29,7 +28,9 @@ def leaderboard(
 ) -> None:
     """Make tables, figures and page anew from the records."""
     preflight.check_output(out, "--out")
-    for path in registry.load(registry.LEADERBOARD)(results, out, check, tuple(data or ())):
+    from partialbench.benchmark.board import leaderboard as make
+
+    for path in make(results, check=check, data=tuple(data or ())).save(out):
         print(path)
 
 
