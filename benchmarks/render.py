@@ -3,6 +3,7 @@
     python benchmarks/render.py [--objects 100] [--views 10] [--source PATH] [--json FILE]
     python benchmarks/render.py --memory          resident memory over ten thousand views
     python benchmarks/render.py --stages          where the time of one object goes
+    python benchmarks/render.py --depth 1024      memory of a shard that keeps depth images
 
 Every contender gets the same OFF files, the same poses and intrinsics, 256×256 pixels and 2,048
 points a view, and ends with HDF5 on disk. Ours is the whole build with two worker processes, and
@@ -18,6 +19,7 @@ import argparse
 import hashlib
 import importlib.util
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -209,6 +211,33 @@ def memory(views: int) -> list[float]:
     return resident
 
 
+def depth_memory(resolution: int, views: int, objects: int, sensor: str) -> dict[str, float]:
+    """Peak memory of one shard with depth images, in units of the shard's images as they are."""
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(temporary) / "meshes"
+        write_meshes(root, objects)
+        source = open_source(root)
+        occluder = MitsubaOccluder(resolution, keep_depth=True, sensor=sensor)
+        plan = BuildPlan(
+            job(source, views, occluder), Path(temporary) / "out", source.splits(),
+            rows_per_shard=views * objects,
+        )  # fmt: skip
+        before = psutil.Process().memory_info().rss
+        [shard] = build(plan, workers=2).shards
+        images = shard.rows * resolution**2 * 4
+        # Linux gives kibibytes.
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+        worker = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
+        return {
+            "rows": shard.rows,
+            "images, MiB": images / 2**20,
+            "file, MiB": shard.bytes / 2**20,
+            "builder's growth, MiB": (peak - before) / 2**20,
+            "builder's growth in shards of images": (peak - before) / images,
+            "a worker's peak, MiB": worker / 2**20,
+        }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--objects", type=int, default=100)
@@ -216,10 +245,14 @@ def main() -> None:
     parser.add_argument("--source", help="a folder of OFF files in ModelNet40's tree")
     parser.add_argument("--memory", action="store_true")
     parser.add_argument("--stages", action="store_true")
+    parser.add_argument("--depth", type=int, help="image side in pixels")
+    parser.add_argument("--sensor", default="ideal", help="with --depth")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     if args.memory:
         result: Any = {"MiB after each thousand views": memory(args.views)}
+    elif args.depth:
+        result = depth_memory(args.depth, args.views, args.objects, args.sensor)
     elif args.stages:
         result = stages(args.views)
     else:

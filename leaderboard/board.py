@@ -103,12 +103,15 @@ class Column:
         title: as printed; has numbers of training clouds, or else digests, only where two columns
             would otherwise read the same.
         reported: key of the paper's own figures for this pair of data sets ("pm40>ps15"), or "".
+        on_paper_data: whether the column's data are the paper's own, so that its figures may stand
+            beside the column's without a word.
         cells: row name → cell.
     """
 
     key: tuple[str, ...]
     title: str
     reported: str
+    on_paper_data: bool = False
     cells: dict[str, Cell] = field(default_factory=dict)
 
     @property
@@ -137,6 +140,7 @@ def make_board(results: Iterable[Result]) -> list[Column]:
                 key,
                 _title(first),
                 _reported(first),
+                _on_paper_data(first),
                 {
                     row: Cell(tuple(sorted(found, key=lambda r: r.seed)))
                     for row, found in cells.items()
@@ -198,6 +202,25 @@ def _reported(result: Result) -> str:
     if not set(ids) <= {"pm40", "ps15"} or any(d.setting != "partial" for d in data):
         return ""
     return ids[0] if ids[0] == ids[1] else ">".join(ids)
+
+
+PAPER_CLASSES = {"pm40": 40, "ps15": 15}
+"""Data set id → its number of classes in the paper. Made from anything else it is other data."""
+
+
+def _on_paper_data(result: Result) -> bool:
+    """Whether it was trained and tested on one of the paper's data sets, with all its classes.
+
+    A folder of some of ModelNet40's classes has its id too, and a transfer its own rules.
+    """
+    train, test = result.train_data, result.test_data
+    shares = result.scores["per_class"]
+    return (
+        train.id == test.id
+        and train.setting == test.setting == "partial"
+        and len(shares) == PAPER_CLASSES.get(train.id)
+        and None not in shares.values()
+    )
 
 
 def _tell_apart(columns: list[Column]) -> None:

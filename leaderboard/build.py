@@ -13,11 +13,12 @@ from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
+from leaderboard.output import write_board
 from leaderboard.poses import pose_layouts
 from leaderboard.settings import setting_layouts
+from leaderboard.transductive import transductive_layouts
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
-from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 
@@ -29,14 +30,12 @@ def build_leaderboard(
 ) -> list[Path]:
     """Writes what ``board_files`` makes; returns the paths.
 
+    Files of an earlier board that this one lacks are removed from ``out``.
+
     Raises:
         InputError: see there; nothing is written.
     """
-    out, contents = Path(out), board_files(results_folder, check, data)
-    (out / "figures").mkdir(parents=True, exist_ok=True)
-    for name, content in contents.items():
-        write_atomically(out / name, content)
-    return [out / name for name in contents]
+    return write_board(Path(out), board_files(results_folder, check, data))
 
 
 def board_files(
@@ -47,7 +46,8 @@ def board_files(
     The same records (and data) give the same bytes.
 
     Args:
-        check: recompute every score from the stored predictions first.
+        check: recompute every score from the stored predictions first, and hold cards against the
+            registry and test sets against the given data.
         data: data folders the records were tested on: the page shows clouds on which the models
             disagree from those whose digest fits. They become part of the page; whoever passes it
             on needs the right to.
@@ -71,7 +71,8 @@ def board_files(
     if not board:
         raise InputError(
             f"{folder} holds only tests under other conditions than trained on (fewer points, "
-            f"another sensor, a given pose); each needs its model's own test beside it, with --data"
+            f"another sensor, a given pose), which need their model's own test beside them, with "
+            f"--data, or models whose answers depend on a test cloud's batch-mates"
         )
     comparisons = [compare(column, folder) for column in board]
     families = curves.find_families(board, records, folder)
@@ -87,6 +88,7 @@ def board_files(
         *setting_layouts(board, folder),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
         *tuning_layouts(folder, records, board),

@@ -16,10 +16,11 @@ from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.metrics import shared_clouds
 from partialbench.benchmark.testing.uncertainty import (
     bootstrap_intervals,
-    flips_for,
+    difference_intervals,
     holm,
     indistinguishable_groups,
     paired_p_values,
+    seed_test,
 )
 from partialbench.errors import InputError
 
@@ -34,9 +35,10 @@ class Comparison:
         intervals: row → 95 % interval of the seed-averaged accuracy, bootstrap over objects; NaN
             bounds where the test set is a single object.
         groups: row → numbers, from 1, of the groups it is in: two rows that share none differ at
-            the level 0.05 (paired test over objects, Holm over all pairs of the column).
-        p_values: (row, row) in rank order → Holm-adjusted p. The smallest there can be is a tenth
-            of the level or less: no flip of signs reached the difference that was seen.
+            the level 0.05 (Holm over all pairs of the column).
+        p_values: (row, row) in rank order → Holm-adjusted p: of the networks at hand on other
+            objects (paired test), and where some row of the column has two seeds or more, not less
+            than of the methods with other seeds.
         differences: (row, row) in rank order → by how much the first is more accurate, with the
             bounds of its 95 % interval, bootstrap over objects with both rows resampled alike.
     """
@@ -55,17 +57,20 @@ def compare(column: Column, folder: Path) -> Comparison:
             were not tested on the same clouds.
     """
     names = ranked(column)
-    values, object_ids = _correct(column, names, folder)
+    values, object_ids, seed_means = _correct(column, names, folder)
     bounds = bootstrap_intervals(values, object_ids)
     first, second = np.triu_indices(len(names), 1)
-    raw = paired_p_values(values, object_ids, flips_for(len(first), LEVEL))
+    raw = paired_p_values(values, object_ids)
+    over_seeds = seed_test(values, object_ids, seed_means)
+    if over_seeds is not None:
+        raw = np.maximum(raw, over_seeds)
     adjusted = holm(raw[first, second].tolist())
     different = np.zeros(raw.shape, bool)
     different[first, second] = different[second, first] = np.array(adjusted) <= LEVEL
     groups = indistinguishable_groups(different)
     pairs = [(names[i], names[j]) for i, j in zip(first, second, strict=True)]
-    ahead = values[:, first] - values[:, second]
-    ahead_bounds = bootstrap_intervals(ahead, object_ids)
+    means = values.mean(axis=0)
+    low, high = difference_intervals(values, object_ids)
     return Comparison(
         intervals={n: (float(b[0]), float(b[1])) for n, b in zip(names, bounds, strict=True)},
         groups={
@@ -74,8 +79,8 @@ def compare(column: Column, folder: Path) -> Comparison:
         },
         p_values=dict(zip(pairs, adjusted, strict=True)),
         differences={
-            pair: (float(mean), float(low), float(high))
-            for pair, mean, (low, high) in zip(pairs, ahead.mean(0), ahead_bounds, strict=True)
+            pair: (float(means[i] - means[j]), float(low[i, j]), float(high[i, j]))
+            for pair, i, j in zip(pairs, first, second, strict=True)
         },
     )
 
@@ -101,9 +106,13 @@ def share_correct(seeds: Sequence[Result], folder: Path) -> tuple[NDArray, NDArr
     return tested[0][1], np.mean([right for *_, right in tested], axis=0)
 
 
-def _correct(column: Column, names: list[str], folder: Path) -> tuple[NDArray, NDArray]:
-    """(M,R) share of seeds that are right for each cloud and row, and the clouds' object ids."""
-    values, reference = [], None
+def _correct(
+    column: Column, names: list[str], folder: Path
+) -> tuple[NDArray, NDArray, list[list[float]]]:
+    """(M,R) share of seeds that are right for each cloud and row, the clouds' object ids, and for
+    each row the accuracy of each seed.
+    """
+    values, seed_means, reference = [], [], None
     for name in names:
         seeds = []
         for result in column.cells[name].results:
@@ -117,5 +126,6 @@ def _correct(column: Column, names: list[str], folder: Path) -> tuple[NDArray, N
                 )
             seeds.append(right)
         values.append(np.mean(seeds, axis=0))
+        seed_means.append([float(right.mean()) for right in seeds])
     assert reference is not None, "a column has at least one result"
-    return np.stack(values, axis=1), reference[1]
+    return np.stack(values, axis=1), reference[1], seed_means

@@ -17,7 +17,7 @@ from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.testing import metrics
+from partialbench.benchmark.testing import given_pose, metrics
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
 
@@ -49,6 +49,11 @@ def own_faults(result: Result) -> Iterator[str]:
             f"{milestones.name(result.clouds)} on {result.train_data.clouds:,} clouds its protocol "
             f"and recipe take {plan.steps:,} steps, {plan.clouds_seen:,} clouds"
         )
+    if result.given_pose:
+        try:
+            given_pose.parse(result.given_pose)
+        except InputError as error:
+            yield str(error)
     unnamed = [name for name in result.options if f"{name}=" not in result.variant]
     if unnamed:
         yield f"its row does not name the option(s) {', '.join(unnamed)} it was made with"

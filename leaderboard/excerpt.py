@@ -16,6 +16,7 @@ import argparse
 import re
 from pathlib import Path
 
+from leaderboard.plain import markdown
 from partialbench.errors import InputError
 
 _BLOCK = re.compile(r"(<!-- leaderboard: (.*?) -->\n)(.*?)(<!-- end -->)", re.S)
@@ -31,9 +32,11 @@ def fill(document: str, board: str) -> str:
 
     def table(match: re.Match[str]) -> str:
         begin, title, old, end = match.groups()
-        if title not in sections:
+        if markdown(title) not in sections:
             raise InputError(f"the board has no section {title!r}, but {', '.join(sections)}")
-        lines = [_cells(line) for line in sections[title].splitlines() if line.startswith("|")]
+        lines = [
+            _cells(line) for line in sections[markdown(title)].splitlines() if line.startswith("|")
+        ]
         wanted = _cells(old.split("\n", 1)[0])
         missing = [name for name in wanted if name not in lines[0]]
         if missing:
@@ -47,7 +50,8 @@ def fill(document: str, board: str) -> str:
 
 
 def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+    """Cells as they are written; a "|" within one is escaped."""
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line.strip())[1:-1]]
 
 
 def main() -> None:

@@ -11,6 +11,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison, counted
@@ -18,7 +19,7 @@ from leaderboard.curves import Family
 from leaderboard.given import OWN, RANDOM, GivenPoses
 from leaderboard.layouts import noise_title
 from leaderboard.settings import compared_rows, setting_families
-from leaderboard.words import paper_score, row_title
+from leaderboard.words import engineering, paper_score, row_title
 from partialbench.benchmark.records import results
 from partialbench.benchmark.testing.metrics import (
     VISIBILITY_EDGES,
@@ -30,6 +31,8 @@ from partialbench.benchmark.testing.metrics import (
 # Ids inside an SVG are hashed with this; matplotlib would draw them at random.
 _STYLE: dict[Any, Any] = {
     "svg.hashsalt": "partialbench", "svg.fonttype": "path", "font.size": 9,
+    # Names are text, whatever signs of mathematics are in them.
+    "text.parse_math": False,
     "axes.spines.top": False, "axes.spines.right": False, "figure.dpi": 150,
 }  # fmt: skip
 K_TICKS = (1, 5, 10, 15, 20)
@@ -127,13 +130,13 @@ def _accuracy(column: Column, comparison: Comparison) -> Figure:
         low, high = comparison.intervals[name]
         axes.plot([100 * low, 100 * high], [i, i], color="black", linewidth=1)
         paper = paper_score(column, column.cells[name].results[0])
-        if paper is not None:
+        if paper is not None and column.on_paper_data:
             axes.plot(paper, i, marker="D", color="#c44e52", markersize=4)
     axes.set_yticks(range(len(names)), [row_title(column.cells[n].results[0]) for n in names])
     axes.invert_yaxis()
     axes.set_xlim(0, 100)
     axes.set_xlabel(
-        "accuracy (%)" + ("; diamond: the paper's, on its data" if column.reported else "")
+        "accuracy (%)" + ("; diamond: the paper's, on its data" if column.on_paper_data else "")
     )
     return figure
 
@@ -240,6 +243,7 @@ def _condition_axis(axes: Axes, family: Family) -> None:
     places = sorted({p.x for points in family.curves.values() for p in points})
     if family.condition == "points":
         axes.set_xscale("log", base=2)
+        axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xticks(places, [f"{x:g}" for x in places])
     axes.minorticks_off()
     axes.set_xlabel(family.axis)
@@ -253,6 +257,8 @@ def _cost(column: Column) -> Figure:
         x, y = cell.cost["multiply_adds"], 100 * cell.mean()
         axes.plot(max(x, 1), y, linestyle="", label=_label(column, name), **_look(column, name))
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter(lambda value, _: engineering(value))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.margins(0.15)
     axes.set_xlabel("multiply-adds of one cloud")
     axes.set_ylabel("accuracy (%)")

@@ -12,7 +12,7 @@ from leaderboard.words import (
     model_input,
     percent,
     reported,
-    reported_name,
+    reported_head,
     row_title,
     without_duplicates,
 )
@@ -49,7 +49,7 @@ def _column(column: Column, comparison: Comparison) -> str:
     if repeated:
         head.append("Without duplicates")
     if column.reported:
-        head.append(f"{reported_name(column)} (reported)")
+        head.append(reported_head(column))
     rows = []
     for name in ranked(column):
         cell, result = column.cells[name], column.cells[name].results[0]
@@ -72,6 +72,10 @@ def _table(
 ) -> str:
     """Plain texts as a table no wider than the column, one entry (row, column) in bold."""
     lines = [[escape(text) for text in row] for row in rows]
+    for line in lines:
+        # After a row's end LaTeX would take these for an argument of it.
+        if line[0][:1] in ("[", "*"):
+            line[0] = "{}" + line[0]
     if bold[0] is not None:
         lines[bold[0]][bold[1]] = rf"\textbf{{{lines[bold[0]][bold[1]]}}}"
     return "\n".join(

@@ -80,7 +80,8 @@ def noise_title(result: Result) -> str:
         return row_title(result)
     others = _others(result, "delta_deg")
     delta = result.options.get("delta_deg", DEFAULT_DELTA_DEG)
-    return f"{with_changes(result.card['title'], others)}, δ = {delta:g}°"
+    told = f"{delta:g}" if isinstance(delta, int | float) else str(delta)
+    return f"{with_changes(result.card['title'], others)}, δ = {told}°"
 
 
 def _others(result: Result, option: str) -> str:

@@ -22,6 +22,7 @@ from leaderboard.words import (
     duplicates,
     engineering,
     paper_score,
+    reported_head,
     row_title,
 )
 
@@ -75,7 +76,7 @@ def _column(column: Column, comparison: Comparison) -> dict[str, Any]:
     return {
         "title": column.title,
         "about": describe(column),
-        "reported": column.reported,
+        "reported": reported_head(column) if column.reported else "",
         "crossed": crosses(column),
         "repeated": duplicates(column),
         "posed": any(row["pose"] for row in rows),

@@ -17,7 +17,7 @@ SETTINGS = ("aligned", "rotated", "partial")
 
 
 def setting_families(board: list[Column]) -> list[dict[str, Column]]:
-    """Setting → column, for each data set, protocol and milestone with a row in two settings or more.
+    """Setting → column, for each data set, protocol and milestone with a row in two or more.
 
     The settings are in the paper's order. Only columns trained and tested alike are in it. Where a
     setting was trained with several numbers of clouds there is a family for each number, in which a

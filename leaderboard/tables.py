@@ -11,6 +11,7 @@ from leaderboard.comparison import Comparison
 from leaderboard.curves import Family
 from leaderboard.given import GivenPoses
 from leaderboard.layouts import Layout
+from leaderboard.plain import csv_cell, markdown
 from leaderboard.words import (
     budget,
     crosses,
@@ -20,10 +21,11 @@ from leaderboard.words import (
     engineering,
     interval,
     model_input,
+    networks,
     paper_score,
     percent,
     reported,
-    reported_name,
+    reported_head,
     row_title,
     without_duplicates,
 )
@@ -36,7 +38,7 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
     """
     parts = ["# Leaderboard\n"]
     for column, comparison in zip(board, comparisons, strict=True):
-        parts += [f"## {column.title}\n", describe(column) + "\n"]
+        parts += [f"## {markdown(column.title)}\n", markdown(describe(column)) + "\n"]
         head = ["model", "input", "accuracy", "95 % interval", "group", "behind the first"]
         names = ranked(column)
         repeated = duplicates(column) > 0
@@ -51,8 +53,8 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
             head += ["pose bin", "pose error"]
         head += ["turned", "parameters", "multiply-adds", "ms a cloud", "training", "seeds"]
         if column.reported:
-            head.append(f"{reported_name(column)} (reported)")
-        lines = [head, ["---"] * len(head)]
+            head.append(reported_head(column))
+        lines = [head]
         for name in names:
             cell, result = column.cells[name], column.cells[name].results[0]
             line = [
@@ -80,28 +82,31 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
                 engineering(cost["multiply_adds"]),
                 f"{cost['batch_ms']:.2f}",
                 budget(result),
-                str(cell.seeds),
+                networks(cell),
             ]
             if column.reported:
                 line.append(reported(column, result))
             lines.append(line)
         parts += [*_as_lines(lines), ""]
     for layout in layouts:
-        parts += [f"## {layout.title}\n", layout.about + "\n"]
-        parts += [*_as_lines([layout.head, ["---"] * len(layout.head), *layout.rows]), ""]
+        parts += [f"## {markdown(layout.title)}\n", markdown(layout.about) + "\n"]
+        parts += [*_as_lines([layout.head, *layout.rows]), ""]
     parts.append(LEGEND)
     return "\n".join(parts)
 
 
 def _as_lines(rows: list[list[str]]) -> list[str]:
-    return ["| " + " | ".join(row) + " |" for row in rows]
+    """Header, rule and rows, of plain texts."""
+    head, *rest = ["| " + " | ".join(map(markdown, row)) + " |" for row in rows]
+    return [head, "| " + " | ".join(["---"] * len(rows[0])) + " |", *rest]
 
 
 LEGEND = """\
 Accuracy in %: share of test clouds named rightly, mean ± standard deviation over seeds; the
 interval is over test objects (bootstrap of whole objects). Rows that share a group number cannot be
-told apart (paired test over objects, Holm's correction, 5 %). Behind the first: by how many points,
-with a 95 % interval over objects; `differences.csv` has every pair of rows. Without duplicates: the
+told apart (paired test over objects and, where rows have several seeds, over seeds; Holm's
+correction, 5 %); a row of one seed is one network, not a method. Behind the first: by how many
+points, with a 95 % interval over objects; `differences.csv` has every pair of rows. Without duplicates: the
 same without the test clouds of objects made from the very bytes of a training object. Over classes:
 mean of the per-class accuracies. Pose bin: share of clouds whose best of the 60 bins is the true
 one under symmetry; pose error: median angle to the truth modulo symmetry. Turned: how far the
@@ -118,12 +123,12 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(
         ["model", "variant", "train_data", "train_digest", "test_data", "test_digest", "preset",
-         "protocol_digest", "seeds", "accuracy", "accuracy_std", "interval_low", "interval_high",
-         "groups", "duplicates", "accuracy_without_duplicates", "class_accuracy",
+         "protocol_digest", "clouds", "seeds", "accuracy", "accuracy_std", "interval_low",
+         "interval_high", "groups", "duplicates", "accuracy_without_duplicates", "class_accuracy",
          "restricted_accuracy", "calibration_error", "pose_top1", "pose_top5", "pose_median_deg",
          "pose_within_30", "rotation_drift", "parameters", "multiply_adds", "latency_ms",
          "batch_ms", "train_clouds_seen", "train_seconds", "train_clouds_per_second",
-         "peak_memory_bytes", "paper_reported"]
+         "peak_memory_bytes", "paper_reported", "paper_reported_other_data"]
     )  # fmt: skip
     for column, comparison in zip(board, comparisons, strict=True):
         for name in ranked(column):
@@ -132,12 +137,13 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
             low, high = comparison.intervals[name]
             posed = cell.pose or [None] * 4
             paper = paper_score(column, first)
+            paper = None if paper is None else paper / 100
             alone = first.scores["accuracy_without_duplicates"]
             alone = None if alone is None else cell.mean("accuracy_without_duplicates")
             line = [
                 first.model, first.variant, first.train_data.id, first.train_data.digest,
                 first.test_data.id, first.test_data.digest, first.protocol["preset"],
-                first.protocol_digest, cell.seeds, cell.mean(), std,
+                first.protocol_digest, first.clouds, cell.seeds, cell.mean(), std,
                 None if math.isnan(low) else low, None if math.isnan(high) else high,
                 " ".join(map(str, comparison.groups[name])), first.scores["duplicates"],
                 alone, cell.mean("class_accuracy"),
@@ -146,10 +152,19 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 cell.cost["multiply_adds"], cell.cost["latency_ms"], cell.cost["batch_ms"],
                 first.training["clouds_seen"], first.training["seconds"],
                 first.training["clouds_per_second"], cell.cost["peak_memory_bytes"],
-                None if paper is None else paper / 100,
+                *((paper, None) if column.on_paper_data else (None, paper)),
             ]  # fmt: skip
             writer.writerow(
-                ["" if v is None else f"{v:.6f}" if isinstance(v, float) else v for v in line]
+                [
+                    ""
+                    if v is None
+                    else f"{v:.6f}"
+                    if isinstance(v, float)
+                    else csv_cell(v)
+                    if isinstance(v, str)
+                    else v
+                    for v in line
+                ]
             )
     return text.getvalue()
 
@@ -168,14 +183,15 @@ def curves_as_csv(families: list[Family], given_poses: list[GivenPoses]) -> str:
                 pose_deg = math.nan if p.pose_deg is None else p.pose_deg
                 figures = (p.accuracy, p.low, p.high, pose_deg)
                 writer.writerow(
-                    [family.column.title, family.condition, f"{p.x:g}", name, p.seeds,
+                    [csv_cell(family.column.title), csv_cell(family.condition), f"{p.x:g}",
+                     csv_cell(name), p.seeds,
                      *("" if math.isnan(f) else f"{f:.6f}" for f in figures)]
                 )  # fmt: skip
     for given in given_poses:
         for name, told in given.rows.items():
             for pose, accuracy in told.accuracy.items():
                 writer.writerow(
-                    [given.column.title, "pose", pose, name, told.seeds,
+                    [csv_cell(given.column.title), "pose", pose, csv_cell(name), told.seeds,
                      *("" if math.isnan(f) else f"{f:.6f}" for f in accuracy), ""]
                 )  # fmt: skip
     return text.getvalue()
@@ -190,6 +206,10 @@ def differences_as_csv(board: list[Column], comparisons: list[Comparison]) -> st
         for pair, found in comparison.differences.items():
             figures = [*found, comparison.p_values[pair]]
             writer.writerow(
-                [column.title, *pair, *("" if math.isnan(f) else f"{f:.6f}" for f in figures)]
+                [
+                    csv_cell(column.title),
+                    *map(csv_cell, pair),
+                    *("" if math.isnan(f) else f"{f:.6f}" for f in figures),
+                ]
             )
     return text.getvalue()

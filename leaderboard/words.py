@@ -28,8 +28,20 @@ def model_input(result: Result) -> str:
 
 
 def reported_name(column: Column) -> str:
-    """What the paper's figures are on."""
-    return "paper, " + column.reported.upper().replace(">", " → ")
+    """What the paper's figures are on, and whether the column's data are other ones."""
+    other = "" if column.on_paper_data else ", other data"
+    return "paper, " + column.reported.upper().replace(">", " → ") + other
+
+
+def reported_head(column: Column) -> str:
+    """The head of a column of the paper's figures: "paper, PM40 (reported, other data)"."""
+    other = "" if column.on_paper_data else ", other data"
+    return f"paper, {column.reported.upper().replace('>', ' → ')} (reported{other})"
+
+
+def networks(cell: Cell) -> str:
+    """The number of seeds; of one, that the row speaks of a network and not of a method."""
+    return str(cell.seeds) if cell.seeds > 1 else "1 (one network)"
 
 
 def paper_score(column: Column, result: Result) -> float | None:

@@ -131,6 +131,17 @@ DATASET_IDS: dict[str, tuple[str, str]] = {
 }
 """Source name → (data set id, occluder). Different ids never share a table's column."""
 
+
+def data_set_of(described: Mapping[str, Any]) -> tuple[str, str]:
+    """(data set id, occluder) of what a source says of itself.
+
+    Scans seen from where a person could stand are another data set than scans seen as in the paper.
+    """
+    dataset_id, occluder = DATASET_IDS[described["name"]]
+    standing = described.get("viewpoints") == "standing"
+    return (f"{dataset_id}-standing" if standing else dataset_id), occluder
+
+
 OCCLUDERS: dict[str, str] = {
     "mitsuba": "renderers.mitsuba_depth:MitsubaOccluder",
     "hpr": "renderers.hpr:HprOccluder",
@@ -144,6 +155,7 @@ READ_SHAPE = "renderers.sources.single:read_shape"
 
 LEADERBOARD = "leaderboard.build:build_leaderboard"
 BOARD_FILES = "leaderboard.build:board_files"
+WRITE_BOARD = "leaderboard.output:write_board"
 SHAPE_EXPORT = "renderers.shapes.export:export_tree"
 RELEASES: dict[str, str] = {
     "papnet": "renderers.release:import_release",

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.geometry import portable
-from partialbench.geometry.rotations import axis_rotation
 
 CELL_M = 0.25
 MIN_FLOOR_VERTICES = 3
@@ -21,7 +20,7 @@ MAX_OBSTACLE_VERTICES = 4
 OBSTACLE_M = (0.15, 1.9)
 """Heights above the floor between which a place must be free."""
 CAMERA_HEIGHT_M = (1.2, 1.8)
-NEAREST_M, FARTHEST_M = 0.5, 2.5
+DISTANCE_M = (0.5, 2.5)
 """Distance of the place from the object's bounding sphere, measured to its centre at mid height."""
 AIM_SPREAD = 0.2
 """The camera aims at a point within this share of the object's radius from its centre, per axis."""
@@ -58,18 +57,25 @@ def standing_places(
 
 
 def places_for(
-    places: NDArray, floor_z: float, centre: NDArray, radius_m: float
+    places: NDArray,
+    floor_z: float,
+    centre: NDArray,
+    radius_m: float,
+    height_m: tuple[float, float] = CAMERA_HEIGHT_M,
+    distance_m: tuple[float, float] = DISTANCE_M,
 ) -> NDArray[np.float64]:
     """Those of the (k,2) places from which an object is at a natural distance: (j,2).
 
     Args:
         centre: (3,) of the object's bounding sphere, scan frame.
-        radius_m: its radius; nobody stands nearer to it than ``NEAREST_M``.
+        radius_m: its radius; nobody stands nearer to it than the lesser ``distance_m``.
+        height_m: between which the camera is held, above the floor.
     """
-    eye_z = floor_z + sum(CAMERA_HEIGHT_M) / 2
+    eye_z = floor_z + sum(height_m) / 2
     across = np.linalg.norm(places - centre[:2], axis=1)
     distance = np.hypot(across, eye_z - centre[2])
-    return places[(distance >= radius_m + NEAREST_M) & (distance <= radius_m + FARTHEST_M)]
+    nearest, farthest = distance_m
+    return places[(distance >= radius_m + nearest) & (distance <= radius_m + farthest)]
 
 
 def standing_pose(
@@ -78,6 +84,7 @@ def standing_pose(
     floor_z: float,
     centre: NDArray,
     radius_m: float,
+    height_m: tuple[float, float] = CAMERA_HEIGHT_M,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A hand-held camera at one of the (j,2) places.
 
@@ -85,10 +92,10 @@ def standing_pose(
         R_camera_scan (3,3) and the camera's position (3,) in the scan frame.
     """
     place = places[rng.integers(len(places))] + rng.uniform(-0.5, 0.5, 2) * CELL_M
-    position = np.array([*place, floor_z + rng.uniform(*CAMERA_HEIGHT_M)])
+    position = np.array([*place, floor_z + rng.uniform(*height_m)])
     target = centre + rng.uniform(-AIM_SPREAD, AIM_SPREAD, 3) * radius_m
     roll = rng.uniform(-ROLL_SPREAD, ROLL_SPREAD)
-    return portable.product(axis_rotation("z", roll), look_at(position, target)), position
+    return portable.product(portable.axis_rotation("z", roll), look_at(position, target)), position
 
 
 def look_at(position: NDArray, target: NDArray) -> NDArray[np.float64]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from partialbench import extras, registry
-from partialbench.dataset.shards import make_folder, write_atomically
 from partialbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,13 +37,9 @@ class Board:
         return reader.read_csv(io.BytesIO(self.files[TABLE]), keep_default_na=True)
 
     def save(self, out: Path | str) -> list[Path]:
-        """Writes all files into a folder; returns their paths."""
-        out = Path(out)
-        for name in self.files:
-            make_folder((out / name).parent)
-        for name, content in self.files.items():
-            write_atomically(out / name, content)
-        return [out / name for name in self.files]
+        """Writes all files into a folder, in place of an earlier board; returns their paths."""
+        written: list[Path] = registry.load(registry.WRITE_BOARD)(Path(out), self.files)
+        return written
 
     def __repr__(self) -> str:
         rows = self.files[TABLE].count(b"\n") - 1

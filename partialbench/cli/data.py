@@ -84,7 +84,8 @@ def render(
         float | None, typer.Option(help="hidden point removal: radius of the spherical flip")
     ] = None,
     gamma: Annotated[
-        float | None, typer.Option(help="the same as 10^gamma · the largest distance [1.5]")
+        float | None,
+        typer.Option(help="the same as 10^gamma · the largest distance [1.5; scans: 2.5]"),
     ] = None,
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
@@ -94,10 +95,26 @@ def render(
     scan2cad: Annotated[Path | None, typer.Option(help="ps15: full_annotations.json")] = None,
     rooms: Annotated[int | None, typer.Option(help="ps15: how many rooms to simulate")] = None,
     viewpoints: Annotated[
-        str | None, typer.Option(help="ps15: standing (a person with a camera) or uniform")
+        str | None,
+        typer.Option(help="ps15: uniform (the paper's) or standing (a person with a camera)"),
     ] = None,
     split_file: Annotated[
-        Path | None, typer.Option(help='ps15: JSON {"train": [scene, …], "test": […]}')
+        list[Path] | None,
+        typer.Option(
+            help='ps15: scannetv2_train.txt (repeat for …_val.txt), or JSON {"train": [scene, …], '
+            '"test": […]}'
+        ),
+    ] = None,
+    label_map: Annotated[
+        Path | None, typer.Option(help="ps15: scannetv2-labels.combined.tsv, if not with the scans")
+    ] = None,
+    labels: Annotated[
+        str | None,
+        typer.Option(help="ps15: numbers in labels files: nyu40, scannet [auto: as the scan says]"),
+    ] = None,
+    rule: Annotated[
+        list[str] | None,
+        typer.Option(help="ps15: a threshold, NAME=VALUE (repeat for more); docs/ps15.md"),
     ] = None,
     split: Annotated[
         list[str] | None, typer.Option(help="only this split (repeat for more); default: all")
@@ -126,7 +143,7 @@ def render(
     from partialbench.progress import build_bar, counting_bar
 
     workers = workers or os.cpu_count() or 1
-    listed = counting_bar(stderr, "simulate rooms")
+    made, listed = counting_bar(stderr, "simulate rooms"), counting_bar(stderr, "read scans")
     with continued_by("the same command"), build_bar(stderr) as on_progress:
         manifest = render_dataset(
             source,
@@ -135,7 +152,8 @@ def render(
             source_options=given(
                 aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
                 scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
-                split_file=split_file,
+                split_file=split_file or None, label_map=label_map, labels=labels,
+                rules=arguments.pairs(rule) or None,
             ),
             occluder_options=given(
                 resolution=resolution, camera=camera and arguments.camera(camera), variant=variant,
@@ -146,12 +164,13 @@ def render(
             scheduler=scheduler,
             # One worker too is a process of its own: a crash in it ends no run.
             make_executor=partial(process_pool, workers),
-            on_room=listed,
+            on_room=made,
+            on_scene=listed,
             on_listing=_say_source,
             on_progress=on_progress,
             setting=setting.value,
             views=views,
-            splits=tuple(dict.fromkeys(split)) if split else None,
+            splits=tuple(split) if split else None,
             objects_per_class=objects_per_class,
             points=points,
             min_visible=min_visible,

@@ -18,7 +18,7 @@ FILES = (NAME, OWNER)
 """What a lock leaves in a folder."""
 
 _NO_FLOCK = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL)
-"""How file systems say that they have no ``flock``: Lustre mounted without it, NFS without lockd."""
+"""How file systems say that they have no ``flock`` (Lustre mounted without, NFS without lockd)."""
 
 
 @contextlib.contextmanager
@@ -38,6 +38,7 @@ def sole_user(out: Path) -> Iterator[None]:
     except OSError as error:
         raise PartialbenchError(f"cannot use {out} as output folder: {error.strerror}") from error
     with lock:
+        otherwise: contextlib.AbstractContextManager[None] = contextlib.nullcontext()
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -45,10 +46,9 @@ def sole_user(out: Path) -> Iterator[None]:
         except OSError as error:
             if error.errno not in _NO_FLOCK:
                 raise PartialbenchError(f"cannot lock {out}: {error.strerror}") from error
-            with _owned(out):
-                yield
-            return
-        yield
+            otherwise = _owned(out)
+        with otherwise:
+            yield
 
 
 @contextlib.contextmanager

@@ -21,9 +21,6 @@ from partialbench.errors import InputError
 
 DEFAULT_SOURCE = {"pm40": "parametric", "ps15": "rooms"}
 # The paper: ten views of every training object, one of every test object.
-MIN_VISIBLE = {"pm40": LEAST_VISIBLE, "ps15": 128}
-"""Distinct points that a view shows at least. A scan's are for people who sorted them by hand: "too
-few observed points" (paper, section 5.1)."""
 PAPER_VIEWS = {"pm40": {"train": 10, "test": 1}, "ps15": {"train": 10, "test": 10}}
 
 
@@ -45,6 +42,7 @@ def plan_render(
     sensor: str | None = None,
     workers: int = 1,
     on_room: Callable[[int, int], None] | None = None,
+    on_scene: Callable[[int, int], None] | None = None,
     rows_per_shard: int = 1000,
 ) -> BuildPlan:
     """The plan of one data folder.
@@ -57,7 +55,8 @@ def plan_render(
         sensor: depth noise, of the rendered images or, for simulated rooms, of the scanner.
         workers: processes for sources that generate or list in parallel.
         on_room: called with (rooms simulated, rooms in all).
-        min_visible: distinct points a view shows at least; default: the data set's.
+        on_scene: called with (scans listed, scans in all).
+        min_visible: distinct points a view shows at least; default: 16, of a scan its rule's.
         normals: whether rows have the normals of their points.
         views: viewpoints per training object; test objects get one (PS15: the same number).
         splits: default: all the source has.
@@ -72,19 +71,23 @@ def plan_render(
             f"no data set {data_set!r}{registry.close_matches(data_set, DEFAULT_SOURCE)}"
         )
     given = dict(source_options or {})
+    if data_set == "ps15" and min_visible is not None:
+        # One of the rules by which scans are judged.
+        given["rules"] = {**given.get("rules", {}), "min_visible": min_visible}
     if source is None:
         source = "scannet" if "scannet" in given else DEFAULT_SOURCE[data_set]
     # One seed is behind everything that is generated; a scanned room was seen by its own sensor.
     if source == "parametric":
         given["seed"] = seed
     elif source == "rooms":
-        given |= {"seed": seed, "workers": workers, "on_progress": on_room}
+        given |= {"seed": seed, "workers": workers, "on_progress": on_room, "on_scene": on_scene}
         given |= {"sensor": sensor} if sensor else {}
     elif source == "scannet":
-        given["workers"] = workers
+        given |= {"workers": workers, "on_scene": on_scene}
     shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **given)
-    name = shapes.describe()["name"]
-    dataset_id, occluder_name = registry.DATASET_IDS[name]
+    described = shapes.describe()
+    name = described["name"]
+    dataset_id, occluder_name = registry.data_set_of(described)
     if not dataset_id.startswith(data_set):
         raise InputError(
             f"source {source!r} ({name}) makes {dataset_id}, not {data_set}: run "
@@ -99,6 +102,8 @@ def plan_render(
     if unknown := [s for s in chosen if s not in shapes.splits()]:
         raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
     options = dict(occluder_options or {})
+    if occluder_name == "scan-hpr" and "rules" in given:
+        options["rules"] = given["rules"]
     if sensor and source != "rooms":
         options["sensor"] = sensor
     if occluder_name == "whole":
@@ -106,7 +111,7 @@ def plan_render(
     if normals:
         options["normals"] = True
     occluder = _make_occluder(occluder_name, options)
-    least = MIN_VISIBLE[data_set] if min_visible is None else min_visible
+    least = getattr(occluder, "min_visible", LEAST_VISIBLE if min_visible is None else min_visible)
     return BuildPlan(
         Job(shapes, occluder, dataset_id, setting, per_split, points, seed, least),
         Path(out),

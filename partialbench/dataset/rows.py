@@ -110,21 +110,17 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
     shape = job.source.load(ref)
     views = job.views[ref.split]
     key = (job.dataset_id, ref.split, ref.object_id)
-    poses = _poses(job, shape, key, views)
-    rngs = [generator(job.seed, *key, v, "occluder") for v in range(views)]
     class_symmetry = symmetry_of(job.source.class_names[ref.label]).name
     rows: list[dict[str, Any]] = []
     images: list[bytes] = []
     failures = []
     image_shape = (0, 0)
-    for v, view in enumerate(job.occluder.views(shape, poses, rngs)):
-        if isinstance(view, View) and view.n_visible < job.min_visible:
-            details = {"visible": int(view.n_visible), "minimum": job.min_visible}
-            view = RejectedView(FEW_POINTS, details)
+    for v, view in enumerate(_views(job, shape, key, views)):
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
-                 "location": printable(ref.location), "reason": view.reason, "details": view.details}
+                 "location": printable(ref.location), "reason": view.reason,
+                 "details": view.details}
             )  # fmt: skip
             continue
         chosen = draw(len(view.points), job.points, generator(job.seed, *key, v, "draw"))
@@ -141,12 +137,49 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
     )
 
 
+def _views(
+    job: Job, shape: Any, key: tuple[str, str, str], count: int
+) -> list[View | RejectedView]:
+    """An object's views; one that a rule turns away is drawn again, if the occluder allows it.
+
+    Every draw has a key of its own, so that a view does not depend on what became of the others.
+    """
+    # A fixed pose stays what it is.
+    attempts = 1 if job.setting == "aligned" else getattr(job.occluder, "attempts", 1)
+    views: list[View | RejectedView] = []
+    missing = list(range(count))
+    for attempt in range(attempts):
+        again = (attempt,) if attempt else ()
+        keys = [(*key, v, *again) for v in missing]
+        poses = _poses(job, shape, keys)
+        rngs = [generator(job.seed, *k, "occluder") for k in keys]
+        for v, view in zip(missing, job.occluder.views(shape, poses, rngs), strict=True):
+            views[v : v + 1] = [_with_enough_points(view, job.min_visible)]
+        missing = [v for v, view in enumerate(views) if isinstance(view, RejectedView)]
+        if not missing:
+            break
+    if attempts == 1:
+        return views
+    return [
+        RejectedView(view.reason, {**view.details, "attempts": attempts})
+        if isinstance(view, RejectedView)
+        else view
+        for view in views
+    ]
+
+
+def _with_enough_points(view: View | RejectedView, minimum: int) -> View | RejectedView:
+    if isinstance(view, RejectedView) or view.n_visible >= minimum:
+        return view
+    return RejectedView(FEW_POINTS, {"visible": int(view.n_visible), "minimum": minimum})
+
+
 def _poses(
-    job: Job, shape: Any, key: tuple[str, str, str], views: int
+    job: Job, shape: Any, keys: list[tuple[str | int, ...]]
 ) -> list[tuple[NDArray, NDArray]]:
     if job.setting == "aligned":
-        return [ALIGNED_POSE] * views
-    rngs = [generator(job.seed, *key, v, "pose") for v in range(views)]
+        return [ALIGNED_POSE] * len(keys)
+    rngs = [generator(job.seed, *key, "pose") for key in keys]
     # "rotated" is about all of SO(3): where a person could stand does not bear on it.
     choose = None if job.setting == "rotated" else getattr(job.source, "poses", None)
     return choose(shape, rngs) if choose else [sample_pose(rng) for rng in rngs]

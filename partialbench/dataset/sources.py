@@ -155,7 +155,12 @@ class Source(Protocol):
 
 
 class Occluder(Protocol):
-    """From a shape to what given viewpoints see of it."""
+    """From a shape to what given viewpoints see of it.
+
+    An occluder may also have ``attempts``: how often the builder draws a pose anew for a view that
+    is rejected (once without it). A rejected view of the last attempt is recorded. And
+    ``min_visible``: how many distinct points a view of this kind shows at least, by default.
+    """
 
     def views(
         self, shape: Any, poses: list[tuple[NDArray, NDArray]], rngs: list[np.random.Generator]

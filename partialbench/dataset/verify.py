@@ -211,7 +211,11 @@ def _read_and_check(
                 for text in schema:
                     problem(text)
                 return None
-            columns = {f.name: file[f.name][()] for f in FIELDS if f.name in file}
+            columns = {
+                f.name: file[f.name][()] for f in FIELDS if f.name in file and f.name != "depth"
+            }
+            if "depth" in file:
+                report.problems += [f"{entry.file}: {p}" for p in _image_problems(file["depth"])]
             if "configuration_digest" not in file.attrs:
                 problem("does not say which configuration it was made with")
                 return None
@@ -273,6 +277,18 @@ def _schema_problems(file: h5py.File, manifest: Manifest, entry: ShardEntry) -> 
         if dtype != f.dtype:
             problems.append(f"{f.name!r} has dtype {dtype}, expected {f.dtype}")
     return problems
+
+
+def _image_problems(images: h5py.Dataset) -> list[str]:
+    """What is wrong with a shard's depth images, one at a time: together they may fill a memory."""
+    bad = [row for row in range(len(images)) if not _is_depth(images[row])]
+    if not bad:
+        return []
+    return [f"depth is not finite and ≥ 0 in {len(bad)} row(s), the first is row {bad[0]}"]
+
+
+def _is_depth(image: NDArray) -> bool:
+    return bool((np.isfinite(image) & (image >= 0)).all())
 
 
 def _is_text(name: bytes) -> bool:

@@ -6,6 +6,7 @@ diagonal of its bounding box 1. The scene stretches it to its real size.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from partialbench.dataset.seeding import generator
-from partialbench.geometry.rotations import axis_rotation
+from partialbench.geometry import portable
 from renderers.rooms.appliances import FAMILIES as APPLIANCES
 from renderers.shapes.catalogue import make
 from renderers.sources.scannet.scan2cad import R_canonical_cad
@@ -118,7 +119,7 @@ def make_cad(class_name: str, index: int, seed: int) -> Cad:
     else:
         shape = make(class_name, index, seed)
     turn = R_canonical_cad(class_name)
-    diagonal = np.linalg.norm(shape.extents)
+    diagonal = math.hypot(*shape.extents)
     vertices = np.asarray(shape.vertices) @ turn / diagonal
     vertices -= (vertices.min(axis=0) + vertices.max(axis=0)) / 2
     mesh = trimesh.Trimesh(vertices, shape.faces, process=False)
@@ -141,7 +142,8 @@ def rotational_symmetry(mesh: trimesh.Trimesh, rng: np.random.Generator) -> str:
     tree = cKDTree(surface)
 
     def maps_onto_itself(degrees: float) -> bool:
-        turned = surface[:SYMMETRY_SAMPLES] @ axis_rotation("y", np.deg2rad(degrees)).T
+        turn = portable.axis_rotation("y", np.deg2rad(degrees))
+        turned = portable.product(surface[:SYMMETRY_SAMPLES], turn.T)
         return bool(np.percentile(tree.query(turned)[0], 99) < SYMMETRY_TOLERANCE)
 
     if not maps_onto_itself(180):

@@ -23,7 +23,7 @@ from renderers.sensors import Sensor, make_sensor
 from renderers.shapes.family import GENERATION as SHAPES_GENERATION
 from renderers.sources.scannet.frames import LABEL_MAP
 
-GENERATION = 3
+GENERATION = 4
 """Number of the rooms' edition: raise it when any scan changes."""
 ANNOTATIONS, TRUTH, SPLIT = "full_annotations.json", "truth.json", "split.json"
 _STAMP, _OWN = "rooms.json", "room.json"

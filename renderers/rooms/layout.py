@@ -5,13 +5,14 @@ Room frame: metres, z up, the floor at z = 0, one corner at the origin, walls al
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset.seeding import generator
-from partialbench.geometry.rotations import axis_rotation
+from partialbench.geometry import portable
 from renderers.rooms.furniture import KINDS, SINK_RIM_M, SUPPORTS, Cad, make_cad
 from renderers.sources.scannet.scan2cad import FRONT, R_canonical_cad
 from renderers.whole import sample_surface
@@ -89,7 +90,7 @@ class Piece:
         """(4,4) float64: CAD frame → room, with the CAD's scale."""
         matrix = np.eye(4)
         turn = R_canonical_cad(self.cad.class_name)
-        matrix[:3, :3] = self.R_room_object @ turn * self.cad.scale
+        matrix[:3, :3] = portable.product(self.R_room_object, turn) * self.cad.scale
         matrix[:3, 3] = self.centre
         return matrix
 
@@ -97,7 +98,7 @@ class Piece:
         """(4,2) corners of the box seen from above, widened by a margin."""
         x, y = self.cad.size_m[:2] / 2 + margin_m
         corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-        return corners @ self.R_room_object[:2, :2].T + self.centre[:2]
+        return portable.product(corners, self.R_room_object[:2, :2].T) + self.centre[:2]
 
     @property
     def top_m(self) -> float:
@@ -159,10 +160,13 @@ def _place(cad: Cad, room: Room, rng: np.random.Generator) -> Piece | None:
     return None
 
 
-def _yaw(class_name: str, towards: NDArray) -> float:
-    """The yaw that turns the class's front towards a horizontal direction."""
-    front = _DIRECTIONS[FRONT[class_name]]
-    return float(np.arctan2(towards[1], towards[0]) - np.arctan2(front[1], front[0]))
+def _turned(class_name: str, towards: NDArray, yaw: float) -> NDArray[np.float64]:
+    """The turn about z that brings the class's front to a horizontal direction, and yaw more."""
+    (x, y), (u, v) = _DIRECTIONS[FRONT[class_name]], towards
+    length = math.hypot(u, v) or 1.0
+    cosine, sine = (x * u + y * v) / length, (x * v - y * u) / length
+    facing = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
+    return portable.product(portable.axis_rotation("z", yaw), facing)
 
 
 def _standing_height(cad: Cad) -> float:
@@ -174,9 +178,9 @@ def _standing_height(cad: Cad) -> float:
 def _at_wall(cad: Cad, room: Room, rng: np.random.Generator) -> Piece:
     wall = int(rng.integers(4))
     inward = np.array([(1.0, 0), (-1.0, 0), (0, 1.0), (0, -1.0)][wall])
-    yaw = _yaw(cad.class_name, inward) + rng.uniform(-YAW_JITTER, YAW_JITTER) / 2
-    R = axis_rotation("z", yaw)
-    reach = np.abs(R[:2, :2]) @ cad.size_m[:2] / 2  # half extent of the turned footprint
+    R = _turned(cad.class_name, inward, rng.uniform(-YAW_JITTER, YAW_JITTER) / 2)
+    # Half extent of the turned footprint.
+    reach = (np.abs(R[:2, :2]) * cad.size_m[:2]).sum(axis=1) / 2
     along = rng.uniform(0, 1, 2) * room.size_m
     gap = rng.uniform(*WALL_GAP_M)
     near = np.where(inward > 0, reach + gap, np.array(room.size_m) - reach - gap)
@@ -186,30 +190,32 @@ def _at_wall(cad: Cad, room: Room, rng: np.random.Generator) -> Piece:
 
 def _on_floor(cad: Cad, room: Room, rng: np.random.Generator) -> Piece:
     xy = rng.uniform(0, 1, 2) * room.size_m
-    yaw = float(rng.uniform(-np.pi, np.pi))
+    R = portable.axis_rotation("z", rng.uniform(-np.pi, np.pi))
     hosts = [p for p in room.pieces if p.cad.class_name in ("table", "desk")]
     if cad.class_name == "chair" and hosts:
         # Chairs face a table or a desk.
         host = hosts[int(rng.integers(len(hosts)))]
-        yaw = _yaw("chair", host.centre[:2] - xy) + float(rng.uniform(-4, 4)) * YAW_JITTER
+        R = _turned("chair", host.centre[:2] - xy, rng.uniform(-4, 4) * YAW_JITTER)
     elif cad.class_name == "table":
-        yaw = float(rng.integers(4)) * np.pi / 2 + float(rng.uniform(-2, 2)) * YAW_JITTER
-    return Piece(cad, axis_rotation("z", yaw), np.array([*xy, _standing_height(cad)]))
+        yaw = rng.integers(4) * np.pi / 2 + rng.uniform(-2, 2) * YAW_JITTER
+        R = portable.axis_rotation("z", yaw)
+    return Piece(cad, R, np.array([*xy, _standing_height(cad)]))
 
 
 def _on_top(cad: Cad, room: Room, rng: np.random.Generator) -> Piece | None:
     """On a flat part of a support, front the same way as its front; None when none has room."""
     hosts = [p for name in SUPPORTS for p in room.pieces if p.cad.class_name == name]
     for host in hosts:
-        forward = host.R_room_object[:2, :2] @ _DIRECTIONS[FRONT[host.cad.class_name]]
+        R_host = host.R_room_object[:2, :2]
+        forward = portable.apply(R_host, _DIRECTIONS[FRONT[host.cad.class_name]])
         M = host.M_room_cad
-        surface = sample_surface(host.cad.mesh, SURFACE_SAMPLES, rng) @ M[:3, :3].T + M[:3, 3]
+        samples = sample_surface(host.cad.mesh, SURFACE_SAMPLES, rng)
+        surface = portable.product(samples, M[:3, :3].T) + M[:3, 3]
         for _ in range(TRIES // 10):
             local = rng.uniform(-0.4, 0.4, 2) * host.cad.size_m[:2]
-            xy = host.centre[:2] + host.R_room_object[:2, :2] @ local
-            yaw = _yaw(cad.class_name, forward) + rng.uniform(-YAW_JITTER, YAW_JITTER)
-            R = axis_rotation("z", yaw)
-            height = _support_height((surface - [*xy, 0]) @ R, cad)
+            xy = host.centre[:2] + portable.apply(R_host, local)
+            R = _turned(cad.class_name, forward, rng.uniform(-YAW_JITTER, YAW_JITTER))
+            height = _support_height(portable.product(surface - [*xy, 0], R), cad)
             if height is None:
                 continue
             piece = Piece(cad, R, np.array([*xy, height + cad.size_m[2] / 2]))
@@ -246,7 +252,7 @@ def collide(a: Piece, b: Piece) -> bool:
         return False
     pa, pb = a.footprint(CLEARANCE_M / 2), b.footprint(CLEARANCE_M / 2)
     axes = np.concatenate([a.R_room_object[:2, :2].T, b.R_room_object[:2, :2].T])
-    spans_a, spans_b = pa @ axes.T, pb @ axes.T
+    spans_a, spans_b = portable.product(pa, axes.T), portable.product(pb, axes.T)
     apart = (spans_a.max(axis=0) < spans_b.min(axis=0)) | (
         spans_b.max(axis=0) < spans_a.min(axis=0)
     )

@@ -1,22 +1,23 @@
 """A furnished room as a scan: depth images along a walk, fused into a mesh with labels.
 
-Rays are cast with Open3D's Embree scene and depth is fused by its TSDF grid. The grid's hash map
-hands its surface out in an order that depends on threads; `_canonical` sorts it, so that a scan is
-the same bits for any number of them.
+Depth is drawn by ``rooms.raster`` and fused by Open3D's TSDF grid. The grid's hash map hands its
+surface out in an order that depends on threads; `_canonical` sorts it, so that a scan is the same
+bits for any number of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from partialbench.errors import InputError, PartialbenchError
+from partialbench.geometry import portable
 from renderers.rooms.layout import WALL_HEIGHT_M, Room
+from renderers.rooms.owners import nearest_surface
+from renderers.rooms.raster import depth_image
 from renderers.rooms.trajectory import Frame
 from renderers.sensors import Sensor
 
@@ -30,7 +31,7 @@ MIN_WEIGHT = 2.0
 FARTHEST_M = 4.5
 LABEL_RADIUS_M = 0.05
 """A vertex farther than this from every true surface is noise: it stays unlabelled."""
-WALL, FLOOR = -2, -1
+NOTHING, WALL, FLOOR = -3, -2, -1
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Scan:
     Attributes:
         vertices: (n,3) float32.
         faces: (f,3) int32.
-        piece: (n,) int64 index of the piece a vertex lies on, or WALL, FLOOR, or −3 for none.
+        piece: (n,) int64 index of the piece a vertex lies on, or WALL, FLOOR, or NOTHING.
     """
 
     vertices: NDArray[np.float32]
@@ -59,9 +60,10 @@ def scan(room: Room, frames: list[Frame], sensor: Sensor, rng: np.random.Generat
         InputError: the frames see nothing.
     """
     o3d = import_open3d()
-    scene, owner = _scene(o3d, room)
+    surfaces, owner = _surfaces(room)
+    corners = np.concatenate(surfaces)
     K = np.array([[FOCAL_PX, 0, WIDTH_PX / 2], [0, FOCAL_PX, HEIGHT_PX / 2], [0, 0, 1.0]])
-    # Open3D's fusion counts pixel centres from 0, its ray casting from 0.5, as we do.
+    # Open3D's fusion counts pixel centres from 0, we from 0.5.
     K_fusion = o3d.core.Tensor(K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     grid = o3d.t.geometry.VoxelBlockGrid(
         attr_names=("tsdf", "weight"),
@@ -72,12 +74,10 @@ def scan(room: Room, frames: list[Frame], sensor: Sensor, rng: np.random.Generat
         block_count=10_000,
     )
     for frame in frames:
-        rays = scene.create_rays_pinhole(
-            o3d.core.Tensor(K), o3d.core.Tensor(frame.T_camera_room), WIDTH_PX, HEIGHT_PX
-        )
-        # A ray's direction has z = 1 in the camera frame, so its length parameter is z-depth.
-        exact = scene.cast_rays(rays)["t_hit"].numpy()
-        depth = sensor.apply(np.where(np.isfinite(exact), exact, 0), K, rng)
+        T = frame.T_camera_room
+        in_camera = portable.product(corners.reshape(-1, 3), T[:3, :3].T) + T[:3, 3]
+        exact = depth_image(in_camera.reshape(-1, 3, 3), FOCAL_PX, WIDTH_PX, HEIGHT_PX)
+        depth = sensor.apply(exact, K, rng)
         if not depth.any():
             continue
         image = o3d.t.geometry.Image(o3d.core.Tensor(depth))
@@ -91,7 +91,8 @@ def scan(room: Room, frames: list[Frame], sensor: Sensor, rng: np.random.Generat
     vertices, faces = _canonical(
         mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy().astype(np.int64)
     )
-    return Scan(vertices, faces, _owners(o3d, scene, owner, vertices))
+    nearest = nearest_surface(o3d, vertices, surfaces, LABEL_RADIUS_M)
+    return Scan(vertices, faces, np.append(owner, NOTHING)[nearest])
 
 
 def import_open3d() -> ModuleType:
@@ -107,39 +108,18 @@ def import_open3d() -> ModuleType:
     return open3d
 
 
-def _scene(o3d: ModuleType, room: Room) -> tuple[Any, NDArray[np.int64]]:
-    """The ray casting scene, and its geometry id → piece."""
+def _surfaces(room: Room) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
+    """Triangles (f,3,3) of the floor, of each wall's inner side, of every piece; whose each is."""
     width, depth = room.size_m
-    thick, high = 0.05, WALL_HEIGHT_M
-    shell = [
-        (FLOOR, (width, depth, thick), (width / 2, depth / 2, -thick / 2)),
-        (WALL, (thick, depth, high), (-thick / 2, depth / 2, high / 2)),
-        (WALL, (thick, depth, high), (width + thick / 2, depth / 2, high / 2)),
-        (WALL, (width, thick, high), (width / 2, -thick / 2, high / 2)),
-        (WALL, (width, thick, high), (width / 2, depth + thick / 2, high / 2)),
-    ]
-    meshes = []
-    for owner, extents, centre in shell:
-        slab = trimesh.creation.box(extents)
-        meshes.append((owner, slab.vertices + centre, slab.faces))
-    for index, piece in enumerate(room.pieces):
+    x, y, z = np.diag([width, depth, WALL_HEIGHT_M])
+    corner = np.zeros(3)
+    shell = [(corner, x, y), (corner, y, z), (x, y, z), (corner, x, z), (y, x, z)]
+    surfaces = [np.array([[o, o + u, o + u + v], [o, o + u + v, o + v]]) for o, u, v in shell]
+    for piece in room.pieces:
         M = piece.M_room_cad
-        vertices = np.asarray(piece.cad.mesh.vertices) @ M[:3, :3].T + M[:3, 3]
-        meshes.append((index, vertices, piece.cad.mesh.faces))
-    scene = o3d.t.geometry.RaycastingScene()
-    for _, vertices, faces in meshes:
-        scene.add_triangles(
-            o3d.core.Tensor(np.ascontiguousarray(vertices, np.float32)),
-            o3d.core.Tensor(np.ascontiguousarray(faces, np.uint32)),
-        )
-    return scene, np.array([owner for owner, _, _ in meshes])
-
-
-def _owners(o3d: ModuleType, scene: Any, owner: NDArray, vertices: NDArray) -> NDArray[np.int64]:
-    closest = scene.compute_closest_points(o3d.core.Tensor(vertices))
-    distance = np.linalg.norm(closest["points"].numpy() - vertices, axis=1)
-    pieces = owner[closest["geometry_ids"].numpy().astype(np.int64)]
-    return np.where(distance <= LABEL_RADIUS_M, pieces, -3)
+        vertices = portable.product(piece.cad.mesh.vertices, M[:3, :3].T) + M[:3, 3]
+        surfaces.append(vertices[piece.cad.mesh.faces])
+    return surfaces, np.array([FLOOR, *[WALL] * 4, *range(len(room.pieces))])
 
 
 def _canonical(vertices: NDArray, faces: NDArray) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ class SimulatedRooms(ScanNetInstances):
         sensor: as ``generate_rooms`` takes it.
         workers: processes that make and list them.
         on_progress: called with (rooms made, rooms in all).
-        viewpoints, rules: as for `ScanNetInstances`.
+        viewpoints, rules, on_scene: as for `ScanNetInstances`.
 
     Raises:
         As ``generate_rooms``.
@@ -37,9 +37,10 @@ class SimulatedRooms(ScanNetInstances):
         folder: Path | None = None,
         sensor: str = "kinect-v1",
         workers: int = 1,
-        viewpoints: str = "standing",
-        rules: Rules | None = None,
+        viewpoints: str = "uniform",
+        rules: Rules | Mapping[str, float] | None = None,
         on_progress: Callable[[int, int], None] | None = None,
+        on_scene: Callable[[int, int], None] | None = None,
     ) -> None:
         if folder is None:
             name = f"rooms-{GENERATION}-{sensor.replace(':', '-')}-seed{seed}-{rooms}"
@@ -50,8 +51,9 @@ class SimulatedRooms(ScanNetInstances):
             made.scan2cad,
             viewpoints,
             made.split_file,
-            rules=rules or Rules(),
+            rules=Rules.of(rules),
             workers=workers,
+            on_scene=on_scene,
             name="rooms",
         )
         self.made = {"rooms": rooms, "seed": seed, "sensor": sensor, "generation": GENERATION}
@@ -59,8 +61,7 @@ class SimulatedRooms(ScanNetInstances):
     def describe(self) -> dict[str, Any]:
         """The rooms' own settings and those of the reader."""
         described = super().describe()
-        # What is listed follows from the settings, but for a piece at a threshold: processors of
-        # different makers differ in a scan's last bits (docs/ps15.md).
+        # What is listed follows from the settings.
         del described["listing_sha256"]
         return {**described, "split": "second of five cycles", **self.made}
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from partialbench.geometry.rotations import axis_rotation
+from partialbench.geometry import portable
 from renderers.rooms.layout import Room
 from renderers.viewpoints import look_at
 
@@ -43,7 +44,7 @@ def walkable(room: Room) -> NDArray[np.float64]:
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
     free = np.ones(len(places), np.bool_)
     for piece in room.pieces:
-        local = (places - piece.centre[:2]) @ piece.R_room_object[:2, :2]
+        local = portable.product(places - piece.centre[:2], piece.R_room_object[:2, :2])
         free &= (np.abs(local) > piece.cad.size_m[:2] / 2 + BODY_M).any(axis=1)
     return places[free]
 
@@ -64,9 +65,10 @@ def walk(room: Room, rng: np.random.Generator) -> list[Frame]:
             looks.append((np.array([*place, rng.uniform(*HEIGHT_M)]), piece.centre + spread))
     middle = np.array(room.size_m) / 2
     stand = places[np.linalg.norm(places - middle, axis=1).argmin()]
-    for turn in np.arange(PANORAMA_FRAMES) * 2 * np.pi / PANORAMA_FRAMES:
+    turns = np.arange(PANORAMA_FRAMES) * 2 * np.pi / PANORAMA_FRAMES
+    for east, north in zip(*portable.cosine_sine(turns), strict=True):
         eye = np.array([*stand, rng.uniform(*HEIGHT_M)])
-        ahead = np.array([np.cos(turn), np.sin(turn), -0.45 if len(looks) % 2 else -0.15])
+        ahead = np.array([east, north, -0.45 if len(looks) % 2 else -0.15])
         looks.append((eye, eye + ahead))
     return [_frame(*looks[i], rng) for i in _short_walk(np.stack([eye for eye, _ in looks]))]
 
@@ -81,7 +83,7 @@ def _around(places: NDArray, target: NDArray, rng: np.random.Generator) -> NDArr
     direction = offset[allowed] / distance[allowed, None]
     chosen = [int(rng.integers(len(allowed)))]
     while len(chosen) < min(FRAMES_PER_PIECE, len(allowed)):
-        nearest = (direction @ direction[chosen].T).max(axis=1)
+        nearest = portable.product(direction, direction[chosen].T).max(axis=1)
         chosen.append(int((nearest + rng.uniform(0, 0.2, len(allowed))).argmin()))
     return places[allowed[chosen]]
 
@@ -91,7 +93,7 @@ def _short_walk(eyes: NDArray) -> list[int]:
     order, left = [0], set(range(1, len(eyes)))
     while left:
         here = eyes[order[-1]]
-        nearest = min(left, key=lambda i: (float(np.linalg.norm(eyes[i] - here)), i))
+        nearest = min(left, key=lambda i: (math.dist(eyes[i], here), i))
         order.append(nearest)
         left.remove(nearest)
     return order
@@ -99,10 +101,11 @@ def _short_walk(eyes: NDArray) -> list[int]:
 
 def _frame(eye: NDArray, target: NDArray, rng: np.random.Generator) -> Frame:
     true = np.eye(4)
-    true[:3, :3] = axis_rotation("z", rng.normal(0, np.deg2rad(2.0))) @ look_at(eye, target)
-    true[:3, 3] = -true[:3, :3] @ eye
+    roll = portable.axis_rotation("z", rng.normal(0, np.deg2rad(2.0)))
+    true[:3, :3] = portable.product(roll, look_at(eye, target))
+    true[:3, 3] = -portable.apply(true[:3, :3], eye)
     error = np.eye(4)
     for axis, angle in zip("xyz", rng.normal(0, TRACKING_SIGMA, 3), strict=True):
-        error[:3, :3] = axis_rotation(axis, angle) @ error[:3, :3]
+        error[:3, :3] = portable.product(portable.axis_rotation(axis, angle), error[:3, :3])
     error[:3, 3] = rng.normal(0, TRACKING_SIGMA_M, 3)
-    return Frame(true, error @ true)
+    return Frame(true, portable.product(error, true))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from partialbench.geometry.rotations import axis_rotation
+from partialbench.geometry import portable
 from renderers.rooms.furniture import KINDS
 from renderers.rooms.layout import Room
 from renderers.rooms.scan import FLOOR, WALL, Scan
@@ -43,9 +43,9 @@ def write_scene(
     """
     scene_id = folder.name
     T_scan_room = np.eye(4)
-    T_scan_room[:3, :3] = axis_rotation("z", rng.uniform(-np.pi, np.pi))
+    T_scan_room[:3, :3] = portable.axis_rotation("z", rng.uniform(-np.pi, np.pi))
     T_scan_room[:3, 3] = rng.uniform((-2, -2, -0.1), (2, 2, 0.1))
-    vertices = scan.vertices @ T_scan_room[:3, :3].T + T_scan_room[:3, 3]
+    vertices = portable.product(scan.vertices, T_scan_room[:3, :3].T) + T_scan_room[:3, 3]
     labels = np.zeros(len(vertices), np.uint16)
     colours = np.full((len(vertices), 3), 128, np.uint8)
     for owner in np.unique(scan.piece[scan.piece >= WALL]).tolist():
@@ -54,7 +54,10 @@ def write_scene(
     _write_ply(folder / f"{scene_id}_vh_clean_2.ply", vertices, colours, scan.faces, None)
     _write_ply(folder / f"{scene_id}_vh_clean_2.labels.ply", vertices, colours, scan.faces, labels)
     _write_segments(folder, scene_id, room, scan)
-    alignment = " ".join(f"{v:.6f}" for v in np.linalg.inv(T_scan_room).ravel())
+    T_room_scan = np.eye(4)
+    T_room_scan[:3, :3] = T_scan_room[:3, :3].T
+    T_room_scan[:3, 3] = -portable.apply(T_room_scan[:3, :3], T_scan_room[:3, 3])
+    alignment = " ".join(f"{v:.6f}" for v in T_room_scan.ravel())
     (folder / f"{scene_id}.txt").write_text(
         f"axisAlignment = {alignment}\nsceneType = {room.room_type}\n"
     )
@@ -121,7 +124,7 @@ def _annotation(
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     # Scan2CAD's world is the scan laid over: its y is up, its origin somewhere near the middle.
     M_world_scan = np.eye(4)
-    M_world_scan[:3, :3] = axis_rotation("x", -np.pi / 2)
+    M_world_scan[:3, :3] = portable.axis_rotation("x", -np.pi / 2)
     M_world_scan[:3, 3] = rng.uniform(-2, 2, 3)
     models: list[dict[str, Any]] = []
     truth: list[dict[str, Any]] = []
@@ -129,21 +132,21 @@ def _annotation(
         seen = int((scan.piece == index).sum())
         if seen < MIN_ANNOTATED:
             continue
-        M_scan_cad = T_scan_room @ piece.M_room_cad
+        M_scan_cad = portable.product(T_scan_room, piece.M_room_cad)
         rotation = M_scan_cad[:3, :3] / piece.cad.scale
         kind = KINDS[piece.cad.class_name]
         models.append({
             "trs": _trs(
-                M_world_scan[:3, :3] @ rotation,
-                (M_world_scan @ M_scan_cad)[:3, 3], piece.cad.scale,
+                portable.product(M_world_scan[:3, :3], rotation),
+                portable.product(M_world_scan, M_scan_cad)[:3, 3], piece.cad.scale,
             ),
             "bbox": piece.cad.half_extent.tolist(), "center": [0.0, 0.0, 0.0],
             "sym": piece.cad.symmetry, "catid_cad": kind.catid, "id_cad": piece.cad.cad_id,
         })  # fmt: skip
         truth.append({
             "scene": scene_id, "index": len(truth), "class_name": piece.cad.class_name,
-            "R_scan_object": (T_scan_room[:3, :3] @ piece.R_room_object).tolist(),
-            "centre": (T_scan_room[:3, :3] @ piece.centre + T_scan_room[:3, 3]).tolist(),
+            "R_scan_object": portable.product(T_scan_room[:3, :3], piece.R_room_object).tolist(),
+            "centre": portable.apply(T_scan_room, np.append(piece.centre, 1.0))[:3].tolist(),
             "half_extent": (piece.cad.size_m / 2).tolist(), "vertices": seen,
         })  # fmt: skip
     entry = {

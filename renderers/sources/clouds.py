@@ -39,6 +39,7 @@ class CompleteClouds:
     modelnet40_ply_hdf5_2048; or a folder or zip of files as ``cloud_files`` reads them, in any
     layout that ``layout`` understands. Files are read when asked for.
 
+    Its data set is pm40-clouds if it has all of ModelNet40's forty classes, aligned.
     Points that are there more than once count once, as files padded to a fixed size repeat some.
     Normalising again is not idle for stored clouds: a cloud sampled from a mesh with a stray vertex
     sits away from the centre of that mesh's box.
@@ -73,7 +74,8 @@ class CompleteClouds:
         self.listing = listed.words
         refs = [ref for split in listed.splits() for ref in listed.of(split)]
         present = {self.class_names[ref.label] for ref in refs}
-        self.name = "clouds" if present == set(MODELNET40) else "custom-clouds"
+        forty = present == set(MODELNET40) and self.frame == "aligned"
+        self.name = "clouds" if forty else "custom-clouds"
 
     def splits(self) -> tuple[str, ...]:
         """The splits that have objects."""
@@ -92,9 +94,9 @@ class CompleteClouds:
                 are padding or no measurement.
         """
         name = printable(ref.location)
-        points, normals = self._store.cloud(ref)
-        _require_no_padding(points, name)
-        points = normalise_cloud(self._turned(points), name)
+        stored, normals = self._store.cloud(ref)
+        _require_no_padding(stored, name)
+        points = normalise_cloud(self._turned(stored), name)
         _, first = np.unique(points, axis=0, return_index=True)
         first.sort()
         if normals is None:

@@ -1,4 +1,4 @@
-"""Lists of names beside a tree that hold its official splits: ``modelnet40_train.txt`` and so on."""
+"""Lists of names beside a tree that are its official splits: ``modelnet40_train.txt``, say."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ def _first_parameter(entry: str) -> str:
 
 def _described_options(described: dict[str, Any]) -> dict[str, Any]:
     """The options behind a description, of whichever source."""
-    names = ("up", "viewpoints", "rooms", "seed", "sensor")
+    names = ("up", "viewpoints", "labels", "rooms", "seed", "sensor")
     options = {name: described[name] for name in names if name in described}
     if "frame" in described:
         options["aligned"] = described["frame"] == "aligned"

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.cloud_formats.points import Points, unit_normals
 from partialbench.dataset.names import printable
+from partialbench.dataset.shards import open_hdf5
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError, parsing
 from renderers.sources.cloud_store import HdfFile, dataset, require_counts, whole_labels
@@ -38,7 +39,7 @@ def hdf5_files(path: Path) -> list[Path]:
 def fields_of(path: Path) -> set[str]:
     """The names at an HDF5 file's top; none where it is not readable."""
     try:
-        with h5py.File(path, "r", locking=False) as file:
+        with open_hdf5(path) as file:
             return set(file)
     except OSError:
         return set()
@@ -161,7 +162,7 @@ def _shape_names(folder: Path) -> list[str]:
 
 
 def _class_names(names: list[str], highest: int, folder: Path) -> tuple[str, ...]:
-    """The names in the file; ModelNet40's where these begin as they do and there are more labels."""
+    """The names in the file; ModelNet40's where these begin as they do."""
     if names and names == list(MODELNET40[: len(names)]) and highest < len(MODELNET40):
         return MODELNET40
     if highest >= len(names):

@@ -62,8 +62,8 @@ def test_candidates_of_another_shape_are_refused():
             said = torch.zeros(shape), torch.zeros(len(clouds), 19)
             return super().forward(clouds)._replace(candidates=said)
 
+    clouds = MemoryClouds()
     with pytest.raises(InputError, match=r"classes have shape \(8, 19\), expected \(8, 20\) for 8"):
-        clouds = MemoryClouds()
         evaluate.predict_rows(Wrong(3), clouds, np.arange(8), clouds.class_names)
 
 
@@ -74,8 +74,8 @@ def test_a_model_that_answers_nan_is_refused():
             logits[1, 0] = float("nan")
             return logits
 
+    clouds = MemoryClouds()
     with pytest.raises(evaluate.NotFiniteError, match=r"1 of 8 clouds \(rows 0 to 7\)"):
-        clouds = MemoryClouds()
         evaluate.predict_rows(Nan(3), clouds, np.arange(8), clouds.class_names)
 
 

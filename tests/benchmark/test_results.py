@@ -7,8 +7,9 @@ import shutil
 from pathlib import Path
 
 import pytest
+import torch
 
-from partialbench.benchmark.records import results
+from partialbench.benchmark.records import cards, results, testsets
 from partialbench.errors import InputError
 
 
@@ -64,3 +65,36 @@ def test_two_records_of_one_run_are_refused(done, tmp_path):
     shutil.copy(path, folder / f"again-{path.name}")
     with pytest.raises(InputError, match="record the same run"):
         results.read_folder(folder)
+
+
+def test_what_is_true_of_a_test_set_is_stored_once(done, tmp_path):
+    folder = copy_of(done, tmp_path)
+    found = results.read_folder(folder)
+    assert len(found) == 4  # two seeds, two test sets
+    assert len(list((folder / testsets.FOLDER).glob("*.npz"))) == 2
+    assert len(list((folder / cards.FOLDER).glob("*.json"))) == 1
+    for result in found:
+        stored = results.read_predictions(folder, result)
+        truth = testsets.load(folder, result.test_set_sha256)
+        assert stored.labels is truth.labels
+        assert result.clouds == result.training["clouds"]
+
+
+def test_a_folder_without_its_test_sets_says_what_to_copy(done, tmp_path):
+    folder = copy_of(done, tmp_path)
+    result = results.read_folder(folder)[0]
+    shutil.rmtree(folder / testsets.FOLDER)
+    with pytest.raises(InputError, match="copy the folder testsets/ along"):
+        results.read_predictions(folder, result)
+    shutil.rmtree(folder / cards.FOLDER)
+    with pytest.raises(InputError, match="copy the folder cards/ along"):
+        results.read_folder(folder)
+
+
+def test_a_record_names_the_weights_of_its_checkpoint(done):
+    written, folder = done
+    for path in (folder / "runs").glob("**/*.pt"):
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        if "summary" in content:
+            assert content["weights_sha256"] in {r.weights_sha256 for r in written}
+    assert len({r.weights_sha256 for r in written}) == 2

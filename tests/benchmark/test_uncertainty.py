@@ -10,11 +10,12 @@ from scipy import stats
 
 from partialbench.benchmark.testing.uncertainty import (
     bootstrap_intervals,
-    flips_for,
+    difference_intervals,
     holm,
     indistinguishable_groups,
     paired_p_value,
     paired_p_values,
+    seed_test,
 )
 
 
@@ -88,15 +89,72 @@ def test_a_matrix_of_tests_is_the_tests_of_its_pairs(rng):
     assert matrix[0, 2] == paired_p_value(values[:, 0], values[:, 2], ids)
 
 
-@pytest.mark.parametrize("rows", [2, 33, 60])
+@pytest.mark.parametrize("rows", [2, 60, 400])
 def test_many_pairs_do_not_hide_a_difference(rng, rows):
     """The smallest p, times the number of pairs, must stay below the level."""
     pairs = rows * (rows - 1) // 2
-    least = 1 / (1 + flips_for(pairs, 0.05))
-    assert pairs * least <= 0.05 / 10
     values = np.stack([np.ones(40), np.zeros(40)], axis=1)
-    p = paired_p_values(values, np.arange(40), flips_for(pairs, 0.05))[0, 1]
+    p = paired_p_values(values, np.arange(40))[0, 1]
+    assert p >= 2 * 0.5**40  # what counting every sign pattern would give
     assert holm([p] + [1.0] * (pairs - 1))[0] <= 0.05 / 10
+
+
+def test_the_bound_is_no_less_than_every_sign_pattern_counted():
+    rng = np.random.default_rng(5)
+    for lead in (0.2, 0.5, 0.8):
+        values = np.stack([rng.random(12) + lead, rng.random(12)], axis=1)
+        difference = values[:, 0] - values[:, 1]
+        sums = [abs(np.dot(s, difference)) for s in itertools.product((-1, 1), repeat=12)]
+        exact = np.mean(np.array(sums) >= abs(difference.sum()) - 1e-9)
+        # One flip alone, so that the bound is what is returned wherever it says anything.
+        assert paired_p_values(values, np.arange(12), flips=1)[0, 1] >= exact
+
+
+def test_differences_are_resampled_alike(rng):
+    values = rng.random((60, 4))
+    ids = np.repeat(np.arange(20), 3)
+    low, high = difference_intervals(values, ids)
+    for i, j in itertools.combinations(range(4), 2):
+        ((a, b),) = bootstrap_intervals((values[:, i] - values[:, j])[:, None], ids)
+        assert (low[i, j], high[i, j]) == pytest.approx((a, b))
+        assert (low[j, i], high[j, i]) == pytest.approx((-b, -a))
+
+
+def trained(rng, seeds, spread, ahead=0.0):
+    """A method's seeds on 150 objects of three views: (M, seeds) whether each is right."""
+    chance = np.repeat(np.random.default_rng(7).normal(0.5, 1.2, 150), 3)
+    logits = [
+        chance + ahead + rng.normal(0, spread) + np.repeat(rng.normal(0, 0.4, 150), 3)
+        for _ in range(seeds)
+    ]
+    return (rng.random((seeds, 450)) < 1 / (1 + np.exp(-np.array(logits)))).astype(float).T
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.3])
+@pytest.mark.parametrize("seeds", [2, 3])
+def test_two_groups_of_seeds_of_one_method_are_not_told_apart(rng, seeds, spread):
+    """The objects alone would tell the networks apart: they are others, the method is one."""
+    ids, trials = np.repeat(np.arange(150), 3), 250
+    methods = networks = 0
+    for _ in range(trials):
+        rows = [trained(rng, seeds, spread) for _ in range(2)]
+        values = np.stack([row.mean(axis=1) for row in rows], axis=1)
+        methods += seed_test(values, ids, [row.mean(axis=0) for row in rows])[0, 1] <= 0.05
+        networks += paired_p_value(*values.T, ids, flips=200) <= 0.05
+    # Two standard deviations of so many trials above the level.
+    assert methods / trials <= 0.05 + 2 * np.sqrt(0.05 * 0.95 / trials)
+    assert networks > methods
+
+
+def test_seeds_find_a_large_difference_and_one_network_says_nothing_of_trainings(rng):
+    ids = np.repeat(np.arange(150), 3)
+    good, poor = trained(rng, 3, 0.1, 1.5), trained(rng, 3, 0.1)
+    values = np.stack([good.mean(axis=1), poor.mean(axis=1)], axis=1)
+    assert seed_test(values, ids, [good.mean(axis=0), poor.mean(axis=0)])[0, 1] < 0.01
+    assert seed_test(values, ids, [[0.5], [0.5]]) is None
+    # A row of one network borrows the spread of those that have several.
+    borrowed = seed_test(values, ids, [good.mean(axis=0), [float(values[:, 1].mean())]])[0, 1]
+    assert 0 < borrowed < 0.05
 
 
 def test_holm_by_hand_and_beside_scipy():

@@ -166,6 +166,18 @@ def test_wrong_normals_are_found(full, tmp_path, value, message):
     assert any(message in p and "the first is row 3" in p for p in problems), problems
 
 
+@pytest.mark.parametrize("value", [-0.1, np.nan])
+def test_wrong_depth_is_found(full, tmp_path, value):
+    folder = tmp_path / "copy"
+    shutil.copytree(full, folder)
+    with h5py.File(folder / "train-00000.h5", "r+") as shard:
+        image = shard["depth"][2]
+        image[3, 4] = value
+        shard["depth"][2] = image
+    problems = verify(folder).problems
+    assert any("depth is not finite and ≥ 0 in 1 row(s), the first is row 2" in p for p in problems)
+
+
 @dataclass
 class Named(ToySource):
     """Toy objects whose ids are these."""

@@ -2,11 +2,13 @@
 
 import multiprocessing
 import pickle
+import shutil
 
 import h5py
 import numpy as np
 import pytest
 
+from partialbench.dataset import loader
 from partialbench.dataset.build import build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.loader import ShardDataset
@@ -104,3 +106,49 @@ def test_workers_read_what_the_parent_reads(folder, method):
     for worker in workers:
         worker.join()
     assert len(pickle.dumps(data)) < 20_000, "a pickle carries no points"
+
+
+def edited(folder, tmp_path, change):
+    """A copy of a data folder with a shard changed in place; its size stays."""
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    assert len(ShardDataset(copy, "train", 8)) > 0  # it was sound, and this process has seen it
+    path = sorted(copy.glob("train-*.h5"))[0]
+    size = path.stat().st_size
+    change(path)
+    assert path.stat().st_size == size
+    return copy
+
+
+def mend_labels(path):
+    with h5py.File(path, "r+") as shard:
+        shard["label"][...] = 0
+
+
+def rot(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("change", [mend_labels, rot])
+def test_a_shard_changed_in_place_is_not_what_its_manifest_lists(folder, tmp_path, change):
+    copy = edited(folder, tmp_path, change)
+    with pytest.raises(
+        InputError, match=r"is not the file its manifest lists .*partialbench verify"
+    ):
+        ShardDataset(copy, "train", 8)
+
+
+def test_a_manifest_with_another_digest_is_not_believed(folder, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    whole = ShardDataset(copy, "train", 8).digest
+    path = copy / "manifest.json"
+    path.write_text(path.read_text().replace(whole, "0" * 64))
+    with pytest.raises(InputError, match=r"do not have the digest its manifest claims|manifest"):
+        ShardDataset(copy, "train", 8)
+
+
+def test_a_shard_is_hashed_once_a_process(folder, monkeypatch):
+    ShardDataset(folder, "train", 8)
+    monkeypatch.setattr(loader, "file_sha256", lambda path: pytest.fail("hashed again"))
+    ShardDataset(folder, "train", 8)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from partialbench.geometry import portable
-from partialbench.geometry.rotations import haar_rotations
+from partialbench.geometry.rotations import axis_rotation, haar_rotations
 
 RNG = np.random.default_rng(0)
 
@@ -32,6 +32,16 @@ def test_polar_rotation_takes_the_stretch_off(scale: tuple[float, ...]) -> None:
     np.testing.assert_allclose(portable.polar_rotation(stretched), R, atol=1e-13)
     one = portable.polar_rotation(stretched[3])
     np.testing.assert_allclose(one, R[3], atol=1e-13)
+
+
+def test_cosine_and_sine_are_the_librarys() -> None:
+    angles = np.concatenate([RNG.uniform(-50, 50, 10_000), np.arange(-8, 9) * np.pi / 4])
+    cosine, sine = portable.cosine_sine(angles)
+    np.testing.assert_allclose(cosine, np.cos(angles), rtol=0, atol=3e-16)
+    np.testing.assert_allclose(sine, np.sin(angles), rtol=0, atol=3e-16)
+    for axis in "xyz":
+        turn = portable.axis_rotation(axis, 0.7)
+        np.testing.assert_allclose(turn, axis_rotation(axis, 0.7), atol=3e-16)
 
 
 _POSES = """

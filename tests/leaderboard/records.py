@@ -94,7 +94,9 @@ def record(
         ),
         seed=seed,
         clouds=milestone,
-        weights_sha256=hash_of(repr((name, variant, data, digest, setting, preset, milestone, seed))),
+        weights_sha256=hash_of(
+            repr((name, variant, data, digest, setting, preset, milestone, seed))
+        ),
         test_set_sha256="",
         given_pose=given_pose,
         model_code=model_code,

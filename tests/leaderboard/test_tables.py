@@ -156,12 +156,13 @@ def test_the_tables_say_what_the_records_say(folder, tmp_path):
         line = next(m for m in text.splitlines() if m.startswith(f"| {name.upper()} |"))
         assert f"{100 * mean:.1f} ± " in line
         assert line.endswith(f"| {paper} |")
-    assert by_model["good"]["paper_reported"] == "0.835000"
-    assert by_model["poor"]["paper_reported"] == ""
+    assert by_model["good"]["paper_reported_other_data"] == "0.835000"
+    assert by_model["good"]["paper_reported"] == ""
+    assert by_model["poor"]["paper_reported_other_data"] == ""
     assert float(by_model["good"]["pose_top1"]) < 0.1
     assert by_model["even"]["pose_top1"] == ""
-    assert "paper, PM40 (reported)" in text
-    assert "paper, PM40 → PS15 (reported)" in text
+    assert "paper, PM40 (reported, other data)" in text
+    assert "paper, PM40 → PS15 (reported, other data)" in text
 
 
 def test_latex_escapes_and_balances(folder, tmp_path):

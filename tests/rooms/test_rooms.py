@@ -86,7 +86,7 @@ def test_points_lie_on_the_furniture(rooms):
 
 
 def test_the_views_are_accepted(rooms):
-    source = ScanNetInstances(rooms.scannet, rooms.scan2cad, split_file=rooms.split_file)
+    source = ScanNetInstances(rooms.scannet, rooms.scan2cad, "standing", rooms.split_file)
     kinds = Counter()
     for ref in source.objects("train"):
         shape = source.load(ref)

@@ -25,9 +25,9 @@ UP = np.array([[0.0, 0, 1]])
 
 def test_isolated_points_are_counted():
     far = np.array([[5.0, 0, 0], [0, 6, 0], [0, 0, 7], [8, 8, 8]])
-    assert isolated_share(grid()) == 0
-    assert isolated_share(np.concatenate([grid(), far])) == pytest.approx(4 / 404)
-    assert isolated_share(far) == 0  # too few for a neighbourhood
+    assert isolated_share(grid(), Rules()) == 0
+    assert isolated_share(np.concatenate([grid(), far]), Rules()) == pytest.approx(4 / 404)
+    assert isolated_share(far, Rules()) == 0  # too few for a neighbourhood
 
 
 def test_small_pieces_are_dropped():

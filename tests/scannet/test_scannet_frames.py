@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from partialbench.errors import InputError
-from renderers.sources.scannet.frames import read_label_map, read_scene, space_of
+from renderers.sources.scannet.frames import read_label_map, read_scene, settle_labels
+from renderers.sources.scannet.splits import space_of
 from tests.scannet.scenes import CHAIR, LABEL_MAP, Thing, relabel, write_scene
 
 
@@ -55,9 +56,11 @@ def test_labels_above_40_are_mapped_or_dropped_and_noted(scene, label_map):
     chairs, bins = relabel(scene, 5, 1200), relabel(scene, 39, 999)
     assert chairs > 0
     assert bins > 0
-    read = read_scene(scene, label_map)
+    read = settle_labels(read_scene(scene, label_map), [], label_map)
     np.testing.assert_array_equal(read.labels, np.where(before == 39, 0, before))
-    assert read.notes == {"labels_mapped": {"1200": chairs}, "labels_unknown": {"999": bins}}
+    assert read.notes["labels"] == "nyu40"
+    assert read.notes["labels_mapped"] == {"1200": chairs}
+    assert read.notes["labels_unknown"] == {"999": bins}
 
 
 def test_segmentation_stands_in_for_missing_labels(tmp_path, label_map):

@@ -17,7 +17,7 @@ from tests.scannet.scenes import CHAIR, Thing, write_annotations, write_scene
 def test_every_setting_keeps_the_instances_symmetry_and_rotated_has_all_rotations(tmp_path, things):
     chair = Thing("chair", CHAIR, (0.5, 0.5, 0.8), (1.4, 1.1), sym="__SYM_ROTATE_UP_4")
     write_annotations(tmp_path, [write_scene(tmp_path, "scene0001_00", [things[0], chair])])
-    source = ScanNetInstances(tmp_path, tmp_path / "full_annotations.json")
+    source = ScanNetInstances(tmp_path, tmp_path / "full_annotations.json", "standing")
     split = source.splits()[0]
     rows = {}
     for setting, occluder in (

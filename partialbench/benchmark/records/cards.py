@@ -1,4 +1,4 @@
-"""Model cards as they were when a model was tested: stored once, in ``cards/`` of a results folder."""
+"""Model cards as they were in a test: stored once, in ``cards/`` of a results folder."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class DataEntry(TypedDict):
     objects: Positive
     class_names: Annotated[list[str], Field(min_length=1)] | None
     points: Positive
-    sensor: str
+    sensor: Annotated[str, Field(pattern=r"^([^:]+(:\d+(\.\d+)?)?)?$")]
 
 
 class Environment(TypedDict):

@@ -1,7 +1,7 @@
 """What is true of the clouds of a test set: stored once, for all that were tested on it.
 
-In ``testsets/`` of a results folder, a file named by the digest of its content. A record names it by
-that digest, so rows that are compared were measured against the same labels, ids and poses.
+In ``testsets/`` of a results folder, a file named by the digest of its content. A record names it
+by that digest, so rows that are compared were measured against the same labels, ids and poses.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def company_audit(
     device: torch.device | str = "cpu",
     company: int = COMPANY,
 ) -> dict[str, Any]:
-    """How far the class logits of some test clouds move with the clouds that are scored beside them.
+    """How far the class logits of some test clouds move with what is scored beside them.
 
     The clouds come first in a batch with others, with the same others mirrored, alone, and in a
     batch of themselves; the model draws the same numbers each time and is put back in between. Of a

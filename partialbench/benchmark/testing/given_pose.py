@@ -54,7 +54,12 @@ def rotations(name: str, dataset: Clouds, rows: NDArray[np.int64]) -> NDArray[np
         (M,3,3) object → camera: Rz(c)·Ry(b)·Rx(a)·Map(R) with the label R under the symmetry of its
         class and every angle from U(−δ, δ), or a rotation uniform on SO(3). The same for every
         model, whatever its batches.
+
+    Raises:
+        InputError: nobody knows the poses of this data set.
     """
+    if not getattr(dataset, "has_poses", True):
+        raise InputError(f"{dataset.dataset_id} has no poses, so none can be given to a model")
     rng = generator(0, "given pose", name)
     if name == RANDOM:
         return haar_rotations(rng, len(rows)).astype(np.float32)

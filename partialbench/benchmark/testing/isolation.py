@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import hashlib
 import random
 from collections.abc import Iterator
 from typing import Any
@@ -40,15 +39,6 @@ def keyed_draws(*key: str | int, device: torch.device | str = "cpu") -> Iterator
         finally:
             np.random.set_state(numpy_state)  # noqa: NPY002
             random.setstate(python_state)
-
-
-def weights_digest(model: nn.Module) -> str:
-    """SHA-256 (hex) of what the model's ``state_dict`` holds: names, types, shapes, values."""
-    whole = hashlib.sha256()
-    for name, tensor in sorted(model.state_dict().items()):
-        whole.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
-        whole.update(_bits(tensor).cpu().numpy().tobytes())
-    return whole.hexdigest()
 
 
 @contextlib.contextmanager

@@ -96,7 +96,7 @@ def best_pose_errors_deg(predictions: Predictions) -> NDArray[np.float64]:
 
 
 def pose_hits(predictions: Predictions) -> NDArray[np.bool_]:
-    """(M,20), or as many as are stored: column k − 1 says whether a cloud's ``true_pose_bins`` is among the k best."""
+    """(M,k), k ≤ 20: column k − 1 says whether a cloud's ``true_pose_bins`` is among the k best."""
     true = true_pose_bins(predictions.rotations, predictions.symmetries)
     return np.logical_or.accumulate(predictions.pose_bins == true[:, None], axis=1)
 

@@ -99,7 +99,7 @@ def _test(
         model=card.name,
         variant=content["variant"],
         model_code=content["model_code"],
-        weights_sha256=isolation.weights_digest(model),
+        weights_sha256=content["weights_sha256"],
         options=dict(content["options"]),
         card=_card_as_dict(card),
         recipe=recipe,

@@ -1,23 +1,26 @@
 """How sure a score is, and whether two rows can be told apart.
 
 Views of one object are correlated, so objects, not clouds, are the independent draws: intervals
-resample whole objects, and tests flip whole objects. Both speak of the trained networks at hand on
-other test objects; how training itself varies is the standard deviation over seeds, told beside.
+resample whole objects, and tests flip whole objects. These speak of the trained networks at hand on
+other test objects. Another training would give another network: where rows have several seeds,
+``seed_test`` says whether two methods differ, trainings being drawn anew as well as objects.
+
+Every row is resampled alike, and a chunk of draws is one product of matrices: time and memory grow
+with rows, not with pairs of rows, but for the p-values themselves.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from partialbench.dataset.seeding import generator
 
 RESAMPLES = 2_000
 FLIPS = 10_000
-"""At least. Where many pairs are compared there are more: ``flips_for``."""
 _CHUNK = 1_000
 
 
@@ -61,30 +64,50 @@ def bootstrap_intervals(
     """
     if not 0 < confidence < 1:
         raise ValueError(f"confidence must be between 0 and 1, got {confidence!r}")
+    means = bootstrap_means(values, object_ids, resamples, seed)
+    return np.stack(_bounds(means, confidence), axis=1)
+
+
+def bootstrap_means(
+    values: NDArray, object_ids: NDArray, resamples: int = RESAMPLES, seed: int = 0
+) -> NDArray[np.float64]:
+    """(resamples,R) means over clouds, objects resampled; NaN with a single object."""
     sums, counts = per_object(values, object_ids)
     n = len(counts)
     if n < 2:
-        return np.full((sums.shape[1], 2), np.nan)
+        return np.full((resamples, sums.shape[1]), np.nan)
     rng = generator(seed, "bootstrap", n)
-    means = np.concatenate(
-        [
-            (weights @ sums) / (weights @ counts)[:, None]
-            for start in range(0, resamples, _CHUNK)
-            for weights in [
-                rng.multinomial(n, np.full(n, 1 / n), min(_CHUNK, resamples - start)).astype(float)
-            ]
-        ]
-    )
+    chunks = []
+    for start in range(0, resamples, _CHUNK):
+        drawn = rng.multinomial(n, np.full(n, 1 / n), min(_CHUNK, resamples - start)).astype(float)
+        chunks.append((drawn @ sums) / (drawn @ counts)[:, None])
+    return np.concatenate(chunks)
+
+
+def _bounds(means: NDArray, confidence: float = 0.95) -> tuple[NDArray, NDArray]:
+    """The percentiles (…,) of (resamples,…) that hold the middle share."""
     tail = 50 * (1 - confidence)
-    return np.percentile(means, [tail, 100 - tail], axis=0).T
+    low, high = np.percentile(means, [tail, 100 - tail], axis=0)
+    return low, high
 
 
-def flips_for(pairs: int, level: float) -> int:
-    """Flips after which the smallest p of so many pairs, times ``pairs``, is a tenth of the level.
+def difference_intervals(
+    values: NDArray, object_ids: NDArray, confidence: float = 0.95, seed: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``bootstrap_intervals`` of every row less every other, both resampled alike.
 
-    With fewer the correction for many pairs could find no difference, however large it is.
+    Returns:
+        low, high: (R,R), of the row's mean less the column's.
     """
-    return max(FLIPS, math.ceil(10 * pairs / level))
+    means = bootstrap_means(values, object_ids, seed=seed)
+    rows = means.shape[1]
+    low, high = np.zeros((rows, rows)), np.zeros((rows, rows))
+    for i in range(rows - 1):
+        low[i, i + 1 :], high[i, i + 1 :] = _bounds(
+            means[:, i, None] - means[:, i + 1 :], confidence
+        )
+        low[i + 1 :, i], high[i + 1 :, i] = -high[i, i + 1 :], -low[i, i + 1 :]
+    return low, high
 
 
 def paired_p_value(
@@ -96,9 +119,12 @@ def paired_p_value(
         a, b: (M,) values of the same clouds.
 
     Returns:
-        (1 + exceedances) / (1 + flips): never 0, and 1 where the rows agree on every object.
+        (1 + exceedances) / (1 + flips), or 2·exp(−T²/(2·Σd²)) where that is less: a bound on the
+        chance that flips of the objects' differences d reach their sum T, which can be as small as
+        many pairs ask for. 1 where the rows agree on every object.
 
-    Source: the sign-flip permutation test of paired samples (Good 2005, section 3.2).
+    Source: the sign-flip permutation test of paired samples (Good 2005, section 3.2); Hoeffding
+    1963, theorem 2.
     """
     return float(paired_p_values(np.stack([a, b], axis=1), object_ids, flips, seed)[0, 1])
 
@@ -106,21 +132,84 @@ def paired_p_value(
 def paired_p_values(
     values: NDArray, object_ids: NDArray, flips: int = FLIPS, seed: int = 0
 ) -> NDArray[np.float64]:
-    """``paired_p_value`` of every pair of rows of ``values`` (M,R): (R,R), symmetric, 1 within."""
+    """``paired_p_value`` of every pair of rows of ``values`` (M,R): (R,R), symmetric, 1 within.
+
+    Each flip is drawn once for all pairs: the flipped difference of two rows is that of their
+    flipped sums.
+    """
     sums, _ = per_object(values, object_ids)
     n, rows = sums.shape
-    first, second = np.triu_indices(rows, 1)
-    differences = sums[:, first] - sums[:, second]
-    observed = np.abs(differences.sum(axis=0))
+    if rows < 2:
+        return np.ones((rows, rows))
+    totals = sums.sum(axis=0)
+    observed = np.abs(totals[:, None] - totals)
     # Sums of equal terms in another order may differ in the last bit: a tie must count.
-    slack = 1e-9 * (1 + np.abs(differences).sum(axis=0))
+    reach = observed - 1e-9 * (1 + np.abs(sums).sum(axis=0)[:, None] + np.abs(sums).sum(axis=0))
     rng = generator(seed, "flips", n)
-    exceed = np.zeros(len(first))
+    exceed = np.zeros((rows, rows), np.int64)
     for start in range(0, flips, _CHUNK):
         signs = rng.integers(0, 2, (min(_CHUNK, flips - start), n)) * 2.0 - 1.0
-        exceed += (np.abs(signs @ differences) >= observed - slack).sum(axis=0)
-    p_values = np.ones((rows, rows))
-    p_values[first, second] = p_values[second, first] = (1 + exceed) / (1 + flips)
+        flipped = (signs @ sums).T
+        for i in range(rows - 1):
+            apart = np.abs(flipped[i] - flipped[i + 1 :])
+            exceed[i, i + 1 :] += np.count_nonzero(apart >= reach[i, i + 1 :, None], axis=1)
+    drawn = (1.0 + exceed + exceed.T) / (1 + flips)
+    squares = _squares_apart(sums)
+    exponent = np.divide(observed**2, 2 * squares, out=np.zeros_like(squares), where=squares > 0)
+    p_values = np.minimum(drawn, 2 * np.exp(-exponent))
+    np.fill_diagonal(p_values, 1.0)
+    return p_values
+
+
+def _squares_apart(columns: NDArray) -> NDArray[np.float64]:
+    """(R,R) sums of squared differences of every two columns of (n,R)."""
+    products = columns.T @ columns
+    own = np.diag(products)
+    return np.maximum(own[:, None] + own - 2 * products, 0.0)
+
+
+def seed_test(
+    values: NDArray, object_ids: NDArray, seed_means: Sequence[Sequence[float]]
+) -> NDArray[np.float64] | None:
+    """Two-sided p of "methods a and b are equally good", of which the seeds are draws.
+
+    Welch's t: the variance of a difference is that over objects, for the networks at hand, and that
+    of each row's mean over trainings. The latter is the pooled one of all rows with two seeds or
+    more, or the row's own where that is larger; its degrees of freedom are the pooled ones.
+
+    Args:
+        values: (M,R) per cloud and row, averaged over seeds.
+        seed_means: for each row the mean of each of its seeds.
+
+    Returns:
+        (R,R) symmetric, 1 within; None where no row has two seeds: nothing says how trainings vary.
+
+    Source: Welch 1947, with Satterthwaite's degrees of freedom.
+    """
+    freedom = sum(len(means) - 1 for means in seed_means)
+    if freedom == 0:
+        return None
+    squares = [float(np.var(means)) * len(means) for means in seed_means]
+    pooled = sum(squares) / freedom
+    own = np.array(
+        [
+            max(pooled, square / (len(means) - 1) if len(means) > 1 else 0.0) / len(means)
+            for square, means in zip(squares, seed_means, strict=True)
+        ]
+    )
+    sums, counts = per_object(values, object_ids)
+    n, clouds = len(counts), counts.sum()
+    means = sums.sum(axis=0) / clouds
+    over_objects = _squares_apart(sums - counts[:, None] * means) / clouds**2 * n / max(n - 1, 1)
+    over_seeds = own[:, None] + own
+    variance = over_objects + over_seeds
+    ahead = np.abs(means[:, None] - means)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(ahead > 0, ahead / np.sqrt(variance), 0.0)
+        weights = over_objects**2 / max(n - 1, 1) + over_seeds**2 / freedom
+        degrees = np.where(weights > 0, variance**2 / weights, np.inf)
+    p_values = 2 * stats.t.sf(t, degrees)
+    np.fill_diagonal(p_values, 1.0)
     return p_values
 
 
@@ -147,15 +236,29 @@ def indistinguishable_groups(different: NDArray[np.bool_]) -> list[list[int]]:
         Lists of row numbers, in order of their best row. Every row is in one at least; two rows
         share one exactly when they are not different.
 
-    Source: insert and absorb (Piepho 2004), what "compact letter displays" show.
+    Each group is as large as it can be; there are as many as it takes for each two rows that are
+    not told apart to share one (what "compact letter displays" show, Piepho 2004).
     """
     different = np.asarray(different, bool)
     if different.ndim != 2 or not np.array_equal(different, different.T):
         raise ValueError(f"expected a symmetric (R,R) matrix, got shape {different.shape}")
-    groups = [frozenset(range(len(different)))] if len(different) else []
-    for i, j in zip(*np.nonzero(np.triu(different, 1)), strict=True):
-        split: list[frozenset[int]] = []
-        for group in groups:
-            split += [group - {i}, group - {j}] if {i, j} <= group else [group]
-        groups = [g for g in set(split) if not any(g < other for other in split)]
-    return sorted(sorted(int(i) for i in group) for group in groups)
+    alike = ~different
+    np.fill_diagonal(alike, True)
+    shared = np.zeros_like(alike)
+    groups = []
+    for first in range(len(alike)):
+        while True:
+            missing = alike[first] & ~shared[first]
+            missing[:first] = False
+            if not missing.any():
+                break
+            # From the worst row it lacks upwards: neighbours in rank are the likeliest to be alike.
+            start = int(np.flatnonzero(missing)[-1])
+            group, open_to = [first], alike[first].copy()
+            for row in sorted(range(len(alike)), key=lambda r: abs(r - start)):
+                if row != first and open_to[row]:
+                    group.append(row)
+                    open_to &= alike[row]
+            shared[np.ix_(group, group)] = True
+            groups.append(sorted(group))
+    return sorted(groups)

@@ -1,7 +1,7 @@
 """Readers for the files of one ScanNet scene, each with errors that say what is wrong.
 
     <scene>_vh_clean_2.ply                  vertices and faces, metres, z up          required
-    <scene>_vh_clean_2.labels.ply           property label: an nyu40 id per vertex   ┐ one of
+    <scene>_vh_clean_2.labels.ply           property label: an id per vertex         ┐ one of
     <scene>_vh_clean_2.0.010000.segs.json   segIndices: a segment per vertex         ┐ the two
     <scene>.aggregation.json                segGroups: objectId, segments, label     ┘
     scannetv2-labels.combined.tsv           raw category → nyu40 id, ModelNet40 name
@@ -18,7 +18,7 @@ import csv
 import io
 import json
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +29,9 @@ from numpy.typing import NDArray
 from partialbench.dataset.categories import PS15
 from partialbench.dataset.ply import require_whole
 from partialbench.errors import InputError
+from renderers.sources.scannet.labels import decide_numbering, to_nyu40
 
 LABEL_MAP = "scannetv2-labels.combined.tsv"
-NYU40_MAX = 40
-FLOOR_IDS = (2, 20)
-"""nyu40: floor, floor mat."""
 
 # A class's nyu40 ids are those that hold at least this share of its raw categories' instances: it
 # keeps "bookshelf" and "shelves" for bookshelf and drops "otherfurniture" for bed (one bunk bed).
@@ -75,10 +73,11 @@ class Scene:
         vertices: (n,3) float64, metres, scan frame, z up.
         faces: (f,3) int64.
         normals: (n,3) float64 unit vertex normals (zero where a vertex has no face).
-        labels: (n,) int64 nyu40 ids, 0 = unlabelled.
+        labels: (n,) int64 nyu40 ids, 0 = unlabelled; of a scene without segmentation that
+            ``settle_labels`` has not seen, the labels file's own numbers.
         groups: the annotated objects, or None where the scene came without segmentation files.
         segments: (n,) int64 segment of each vertex, or None likewise.
-        notes: what reading changed, e.g. how many labels were mapped.
+        notes: by what the labels were read, and what that changed.
     """
 
     scene_id: str
@@ -89,11 +88,6 @@ class Scene:
     groups: list[SegmentGroup] | None
     segments: NDArray[np.int64] | None
     notes: dict[str, Any]
-
-
-def space_of(scene_id: str) -> str:
-    """The place a scan was taken in: rescans "scene0470_00" and "scene0470_01" share one."""
-    return scene_id.rsplit("_", 1)[0]
 
 
 def read_label_map(path: Path) -> LabelMap:
@@ -112,7 +106,7 @@ def read_label_map(path: Path) -> LabelMap:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
             f"cannot read ScanNet's label map {path}: {error}. It is part of the ScanNet download: "
-            f"put it into the --scannet folder, beside scans/"
+            f"put it into the --scannet folder, beside scans/, or give --label-map"
         ) from error
     class_of: dict[str, str] = {}
     nyu40_of: dict[str, int] = {}
@@ -182,14 +176,13 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
     if segmented:
         segments = _read_segments(files["segments"], len(vertices))
         groups = _read_groups(files["aggregation"])
-    if "labels" in files:
-        labels = _read_labels(files["labels"], len(vertices), label_map, notes)
-    else:
-        assert segments is not None
+    raw = _read_labels(files["labels"], len(vertices)) if "labels" in files else None
+    if segments is not None:
         assert groups is not None
-        labels = np.zeros(len(vertices), np.int64)
-        for group in groups:
-            labels[np.isin(segments, group.segments)] = label_map.nyu40_of.get(group.label, 0)
+        labels = _labels_of_groups(groups, segments, label_map, notes)
+    else:
+        assert raw is not None
+        labels = raw
     faces = np.asarray(mesh.faces, np.int64)
     return Scene(scene_id, vertices, faces, _normals(mesh), labels, groups, segments, notes)
 
@@ -231,26 +224,67 @@ def _normals(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
 
 
-def _read_labels(
-    path: Path, vertices: int, label_map: LabelMap, notes: dict[str, Any]
+def _labels_of_groups(
+    groups: list[SegmentGroup],
+    segments: NDArray[np.int64],
+    label_map: LabelMap,
+    notes: dict[str, Any],
 ) -> NDArray[np.int64]:
+    """nyu40 ids by the annotated objects' names: names have one meaning, numbers may have two."""
+    labels = np.zeros(len(segments), np.int64)
+    for group in groups:
+        members = np.isin(segments, group.segments)
+        labels[members] = label_map.nyu40_of.get(group.label, 0)
+        if group.label not in label_map.nyu40_of:
+            unknown = notes.setdefault("labels_unknown", {})
+            unknown[group.label] = unknown.get(group.label, 0) + int(members.sum())
+    return labels
+
+
+def _read_labels(path: Path, vertices: int) -> NDArray[np.int64]:
+    """The file's own numbers, whatever they mean."""
     mesh = _read_ply(path)
     try:
         # Binary files give a structured array here, text files a dictionary.
         raw = mesh.metadata["_ply_raw"]["vertex"]["data"]["label"]
     except (KeyError, ValueError) as error:
         raise InputError(f"{path.name}: its vertices have no property 'label'") from error
-    labels = np.array(raw, np.int64).reshape(-1)
+    numbers = np.array(raw).reshape(-1)
+    with np.errstate(invalid="ignore"):  # what is not finite is no whole number either
+        labels = numbers.astype(np.int64)
+    if (broken := labels != numbers).any():
+        raise InputError(f"{path.name}: a label is no whole number: {numbers[broken][0]}")
     if len(labels) != vertices:
         raise InputError(f"{path.name}: labels {len(labels)} vertices, the mesh has {vertices}")
-    # Some releases hold ScanNet's own ids among the nyu40 ids; above 40 they are told apart.
-    for value in np.unique(labels[(labels > NYU40_MAX) | (labels < 0)]).tolist():
-        chosen = labels == value
-        nyu40 = label_map.nyu40_of_id.get(value)
-        key = "labels_unknown" if nyu40 is None else "labels_mapped"
-        notes.setdefault(key, {})[str(value)] = int(chosen.sum())
-        labels[chosen] = nyu40 or 0
     return labels
+
+
+def settle_labels(
+    scene: Scene,
+    boxes: list[tuple[NDArray[np.int64], frozenset[int]]],
+    label_map: LabelMap,
+    numbering: str = "auto",
+) -> Scene:
+    """The scene with nyu40 ids for labels; ``notes["labels"]`` says by what.
+
+    Args:
+        boxes: as ``labels.decide_numbering`` takes them; for scenes without segmentation.
+        numbering: "nyu40" or "scannet" for what the labels file holds, or "auto" to decide.
+    """
+    if scene.groups is not None:
+        return replace(scene, notes={"labels": "aggregation", **scene.notes})
+    if numbering == "auto":
+        try:
+            numbering, votes = decide_numbering(
+                scene.labels, scene.vertices, scene.normals, boxes, label_map.nyu40_of_id
+            )
+        except InputError as error:
+            raise InputError(f"{scene.scene_id}_vh_clean_2.labels.ply: {error}") from error
+    else:
+        votes = {}
+    labels, changed = to_nyu40(scene.labels, numbering, label_map.nyu40_of_id)
+    notes = {"labels": numbering, **({"votes": votes} if votes else {}), **scene.notes, **changed}
+    return replace(scene, labels=labels, notes=notes)
 
 
 def _read_json(path: Path, key: str) -> Any:

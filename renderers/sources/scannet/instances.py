@@ -18,9 +18,11 @@ from renderers.sources.scannet.filters import (
     DISAGREEMENT,
     FEW_POINTS,
     FRAGMENTED,
+    MISFIT,
     OUTSIDE,
     Rules,
     in_large_pieces,
+    pieces,
 )
 from renderers.sources.scannet.frames import LabelMap, Scene
 from renderers.sources.scannet.scan2cad import AlignedModel, BoxPose, SceneAnnotation, box_pose
@@ -119,7 +121,7 @@ def segment(
     usable: list[tuple[AlignedModel, BoxPose]] = []
     for model in annotation.models:
         try:
-            usable.append((model, box_pose(model, _classes(model)[0])))
+            usable.append((model, box_pose(model, _classes(model)[0], rules.max_shear)))
         except InputError as error:
             details = {"catid_cad": model.catid, "id_cad": model.cad_id}
             rejected.append(Rejected(model.index, str(error), details))
@@ -132,6 +134,11 @@ def segment(
         elif len(result.vertices) < rules.min_points:
             details = {"points": len(result.vertices), "minimum": rules.min_points}
             rejected.append(Rejected(result.index, FEW_POINTS, details))
+        elif (misfit := box_misfit(scene.vertices[result.vertices], result.pose, rules)) > (
+            rules.max_misfit
+        ):
+            details = {"share": round(misfit, 4), "maximum": rules.max_misfit}
+            rejected.append(Rejected(result.index, MISFIT, details))
         else:
             instances.append(result)
     return (
@@ -211,7 +218,7 @@ def _by_group(
             results.append(Rejected(model.index, OUTSIDE, details))
             continue
         name = label_map.class_of[group.label]
-        pose = box_pose(model, name)
+        pose = box_pose(model, name, rules.max_shear)
         details = {"by": "segmentation", "object_id": group.object_id, "raw_label": group.label}
         results.append(Instance(model.index, name, model.symmetry, pose, members[g][near], details))
     return results
@@ -242,7 +249,8 @@ def _by_label(
             results.append(Rejected(model.index, DISAGREEMENT, details))
             continue
         of_class = near[np.isin(labels, list(label_map.nyu40_ids[name]))]
-        chosen.append(_Claim(model, name, box_pose(model, name), of_class, agreement))
+        pose = box_pose(model, name, rules.max_shear)
+        chosen.append(_Claim(model, name, pose, of_class, agreement))
     for claim in _second_models(scene, chosen):
         chosen.remove(claim)
         results.append(Rejected(claim.model.index, SECOND, {"cad": CATEGORIES[claim.model.catid]}))
@@ -265,15 +273,51 @@ def _by_label(
             details = {"share": round(loose, 4), "maximum": rules.max_outside}
             results.append(Rejected(claim.model.index, FRAGMENTED, details))
             continue
+        cut = _cut_off(scene, claim, kept, chosen, label_map, rules)
+        if cut > rules.max_outside:
+            details = {"share": round(cut, 4), "maximum": rules.max_outside}
+            results.append(Rejected(claim.model.index, OUTSIDE, details))
+            continue
         details = {
             "by": "box and label", "agreement": round(claim.agreement, 4),
-            "fragments": round(loose, 4),
+            "fragments": round(loose, 4), "cut_off": round(cut, 4),
         }  # fmt: skip
         model = claim.model
         results.append(
             Instance(model.index, claim.class_name, model.symmetry, claim.pose, kept, details)
         )
     return results
+
+
+def _cut_off(
+    scene: Scene,
+    claim: _Claim,
+    kept: NDArray[np.int64],
+    claims: list[_Claim],
+    label_map: LabelMap,
+    rules: Rules,
+) -> float:
+    """The share of a claim's object that its box leaves outside.
+
+    Without segmentation the object is what carries its class's label and is connected to the kept
+    vertices, within twice the box: beyond, or in another model's box, it is taken for another one.
+    """
+    wide = _scaled_box(scene.vertices, claim.pose, 2, rules.margin_m)
+    wide &= np.isin(scene.labels, list(label_map.nyu40_ids[claim.class_name]))
+    for other in claims:
+        if other is not claim:
+            wide &= ~_in_box(scene.vertices, other.pose, rules.margin_m)
+    wide[kept] = True
+    near = np.flatnonzero(wide)
+    if len(near) == 0:
+        return 0.0
+    piece = pieces(scene.vertices[near], _edges_among(scene, near), rules.fragment_gap_m)
+    own = np.isin(near, kept)
+    # A piece of which the box holds next to nothing only touches the object.
+    held = np.bincount(piece[own], minlength=piece.max() + 1)
+    of_object = held[piece] >= rules.min_fragment * max(len(kept), 1)
+    inside = _in_box(scene.vertices[near], claim.pose, rules.margin_m)
+    return float((of_object & ~inside).sum() / max(int(of_object.sum()), 1))
 
 
 def _second_models(scene: Scene, claims: list[_Claim]) -> list[_Claim]:
@@ -311,8 +355,28 @@ def _edges_among(scene: Scene, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _in_box(points: NDArray, pose: BoxPose, margin_m: float) -> NDArray[np.bool_]:
-    inside = np.abs(pose.to_object(points)) <= pose.half_extent + margin_m
+    return _scaled_box(points, pose, 1, margin_m)
+
+
+def _scaled_box(points: NDArray, pose: BoxPose, scale: float, margin_m: float) -> NDArray[np.bool_]:
+    inside = np.abs(pose.to_object(points)) <= scale * pose.half_extent + margin_m
     return np.logical_and.reduce(inside, axis=1)
+
+
+def labelled_boxes(
+    scene: Scene, annotation: SceneAnnotation, label_map: LabelMap, rules: Rules
+) -> list[tuple[NDArray[np.int64], frozenset[int]]]:
+    """Of every usable model, the vertices in its box and the nyu40 ids of what it may stand for."""
+    boxes = []
+    for model in annotation.models:
+        try:
+            classes = _classes(model)
+            pose = box_pose(model, classes[0], rules.max_shear)
+        except InputError:
+            continue  # ``segment`` says so
+        inside = np.flatnonzero(_in_box(scene.vertices, pose, 0.0))
+        boxes.append((inside, frozenset().union(*(label_map.nyu40_ids[c] for c in classes))))
+    return boxes
 
 
 def box_residual_m(points: NDArray, pose: BoxPose) -> float:
@@ -323,3 +387,14 @@ def box_residual_m(points: NDArray, pose: BoxPose) -> float:
     """
     low, high = np.percentile(pose.to_object(points), [1, 99], axis=0)
     return float(np.median(np.abs([*(low + pose.half_extent), *(high - pose.half_extent)])))
+
+
+def box_misfit(points: NDArray, pose: BoxPose, rules: Rules) -> float:
+    """How far the (n,3) scan-frame points' extent is from the CAD's box, as a share of the box.
+
+    As ``box_residual_m``, each face's distance less ``margin_m`` and divided by the box's half
+    extent along that axis: a thin box may miss by the margin, a large one by more.
+    """
+    low, high = np.percentile(pose.to_object(points), [1, 99], axis=0)
+    gaps = np.abs([low + pose.half_extent, high - pose.half_extent])
+    return float(np.median(np.maximum(gaps - rules.margin_m, 0) / pose.half_extent))

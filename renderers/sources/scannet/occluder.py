@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,16 +12,25 @@ from partialbench.dataset.sources import RejectedView, View
 from renderers.hpr import HprOccluder, hidden_point_removal, paper_radius
 from renderers.normals import towards_camera, unit_normals
 from renderers.sources.scannet.filters import Rules, judge_view
-from renderers.sources.scannet.source import ScanInstance
+from renderers.sources.scannet.reader import ScanInstance
+
+SCAN_GAMMA = 2.5
+"""Best F against ray casting on scans (docs/ps15.md), which have more points to an object than the
+clouds that ``hpr.DEFAULT_GAMMA`` is for."""
 
 
 class ScanHprOccluder:
     """An ``Occluder`` for `ScanInstance`: HPR of its points, then ``filters.judge_view``.
 
     Args:
-        gamma, radius: size of HPR's sphere, as ``hpr.HprOccluder`` takes them.
-        rules: thresholds; the views' are used.
+        gamma, radius: size of HPR's sphere, as ``hpr.HprOccluder`` takes them; gamma is
+            ``SCAN_GAMMA`` where neither is given.
+        rules: thresholds, as ``filters.Rules.of`` takes them; the views' own are used.
         normals: whether views have the normals of the scan's mesh.
+
+    Attributes:
+        attempts: how often the builder draws a view before it is given up.
+        min_visible: points a view shows at least, for the builder.
 
     Raises:
         InputError: gamma and radius are both given, or one is out of range.
@@ -30,12 +40,15 @@ class ScanHprOccluder:
         self,
         gamma: float | None = None,
         radius: float | None = None,
-        rules: Rules | None = None,
+        rules: Rules | Mapping[str, float] | None = None,
         normals: bool = False,
     ) -> None:
+        gamma = SCAN_GAMMA if gamma is None and radius is None else gamma
         self.hpr = HprOccluder(gamma, radius)
         self.normals = normals
-        self.rules = rules or Rules()
+        self.rules = Rules.of(rules)
+        self.attempts = self.rules.attempts
+        self.min_visible = self.rules.min_visible
 
     def views(
         self,

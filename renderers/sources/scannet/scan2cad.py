@@ -49,9 +49,6 @@ _TURNS = {
     "-x": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
 }
 
-# Off-diagonal share of the stretch above which a pose counts as sheared, not scaled.
-MAX_SHEAR = 0.02
-
 
 @dataclass(frozen=True)
 class AlignedModel:
@@ -78,7 +75,7 @@ class AlignedModel:
 
 @dataclass(frozen=True)
 class SceneAnnotation:
-    """One entry of the annotation file; ``problem`` says why none of it can be used."""
+    """A scene's models, of all its entries; ``problem`` says why some or none can be used."""
 
     scene_id: str
     models: tuple[AlignedModel, ...]
@@ -136,11 +133,14 @@ def trs_matrix(trs: dict[str, Any]) -> NDArray[np.float64]:
     return matrix
 
 
-def box_pose(model: AlignedModel, class_name: str) -> BoxPose:
+def box_pose(model: AlignedModel, class_name: str, max_shear: float = 0.02) -> BoxPose:
     """The canonical pose and box of an aligned model, scale separated from rotation.
 
     The linear part A of M_scan_cad is split by the polar decomposition A = Q·P: Q the rotation, P
     the stretch in the CAD frame (diagonal, since M_scan is a similarity).
+
+    Args:
+        max_shear: off-diagonal share of the stretch above which the pose counts as sheared.
 
     Raises:
         InputError: A is mirrored, singular or sheared.
@@ -152,8 +152,8 @@ def box_pose(model: AlignedModel, class_name: str) -> BoxPose:
     stretch = portable.product(rotation.T, linear)
     diagonal = np.diag(stretch)
     shear = np.abs(stretch - np.diag(diagonal)).max() / diagonal.min()
-    if shear > MAX_SHEAR:
-        raise InputError(f"the CAD is sheared in the scan by {shear:.2g} (allowed: {MAX_SHEAR:g})")
+    if shear > max_shear:
+        raise InputError(f"the CAD is sheared in the scan by {shear:.2g} (allowed: {max_shear:g})")
     turn = R_canonical_cad(class_name)
     centre = portable.apply(linear, model.centre) + model.M_scan_cad[:3, 3]
     axes = np.abs(turn)
@@ -164,6 +164,9 @@ def box_pose(model: AlignedModel, class_name: str) -> BoxPose:
 
 def read_annotations(path: Path) -> list[SceneAnnotation]:
     """Every scene of ``full_annotations.json``; damaged entries come with their ``problem``.
+
+    Entries of one scene are joined, the later one's models numbered after the earlier one's; each
+    entry's models are placed by its own ``trs``.
 
     Raises:
         InputError: the file cannot be read or is no list of scenes.
@@ -181,10 +184,18 @@ def read_annotations(path: Path) -> list[SceneAnnotation]:
         isinstance(e, dict) and isinstance(e.get("id_scan"), str) for e in entries
     ):
         raise InputError(f"{path} is no list of scenes with an id_scan each")
-    return [_scene(entry) for entry in entries]
+    scenes: dict[str, SceneAnnotation] = {}
+    for entry in entries:
+        before = scenes.get(entry["id_scan"], SceneAnnotation(entry["id_scan"], ()))
+        added = _scene(entry, len(before.models))
+        problems = "; ".join(filter(None, (before.problem, added.problem)))
+        models = before.models + added.models
+        scenes[before.scene_id] = SceneAnnotation(before.scene_id, models, problems)
+    return list(scenes.values())
 
 
-def _scene(entry: dict[str, Any]) -> SceneAnnotation:
+def _scene(entry: dict[str, Any], first: int) -> SceneAnnotation:
+    """One entry, its models numbered from ``first``."""
     scene_id = entry["id_scan"]
     try:
         M_scan = trs_matrix(entry.get("trs", {}))
@@ -197,7 +208,7 @@ def _scene(entry: dict[str, Any]) -> SceneAnnotation:
     M_scan_world[:3, :3] = portable.inverse(M_scan[:3, :3])
     M_scan_world[:3, 3] = -portable.apply(M_scan_world[:3, :3], M_scan[:3, 3])
     return SceneAnnotation(
-        scene_id, tuple(_model(i, m, M_scan_world) for i, m in enumerate(models))
+        scene_id, tuple(_model(i, m, M_scan_world) for i, m in enumerate(models, first))
     )
 
 
