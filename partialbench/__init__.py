@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from partialbench.dataset.view import render_view
     from partialbench.errors import InputError, PartialbenchError
     from partialbench.geometry.camera import look_at
-    from partialbench.registry import list_models
     from partialbench.registry import card as model_info
+    from partialbench.registry import list_models
 
 _WHERE = {
     "load_dataset": "partialbench.dataset.torch_dataset:load_dataset",

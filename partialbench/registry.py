@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from partialbench import options as option_types
 from partialbench import extras, user_code
+from partialbench import options as option_types
 from partialbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -152,6 +152,9 @@ OCCLUDERS: dict[str, str] = {
 
 READ_SHAPE = "renderers.sources.single:read_shape"
 """One mesh or cloud, a file or in memory, in the unit ball."""
+
+PICK_VARIANT = "renderers.variants:pick_variant"
+"""Tries a Mitsuba variant."""
 
 LEADERBOARD = "leaderboard.build:build_leaderboard"
 BOARD_FILES = "leaderboard.build:board_files"

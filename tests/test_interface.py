@@ -37,7 +37,7 @@ def test_a_type_checker_sees_the_names_that_are_loaded():
         for alias in node.names
     }
     assert seen == pb._WHERE
-    assert list(seen) != [] and set(pb.__all__) == set(pb._WHERE) <= set(dir(pb))
+    assert set(pb.__all__) == set(pb._WHERE) <= set(dir(pb))
     for name in pb.__all__:
         assert getattr(pb, name) is getattr(pb, name)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

@@ -93,9 +93,7 @@ def _best(shares: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.argsort(-shares, kind="stable")[:5]
 
 
-def load_model(
-    weights: Path | str, device: str = "auto", model: str | None = None
-) -> Classifier:
+def load_model(weights: Path | str, device: str = "auto", model: str | None = None) -> Classifier:
     """A trained model, to be asked about clouds and files: see ``Classifier``.
 
     ::
@@ -213,9 +211,7 @@ class Classifier:
         clouds = [given_points(one, name) for one, name in zip(points, names, strict=True)]
         return self._answers(clouds, names, votes)
 
-    def _answers(
-        self, given: Sequence[NDArray], names: Sequence[str], votes: int
-    ) -> list[Answer]:
+    def _answers(self, given: Sequence[NDArray], names: Sequence[str], votes: int) -> list[Answer]:
         """An answer for each cloud (n,3) that ``captures.shaped`` let pass."""
         if votes < 1:
             raise InputError(f"votes must be at least 1, got {votes}")

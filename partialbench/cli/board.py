@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from partialbench.benchmark import preflight
+from partialbench.cli.verbs import Verbs
 from partialbench.console import continued_by, stderr
 
-commands = typer.Typer()
+commands = Verbs("Tables")
 
 
 @commands.command(epilog="Example: `partialbench leaderboard --results results --out board`")

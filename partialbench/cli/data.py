@@ -13,10 +13,11 @@ from typing import Annotated, Any
 import typer
 
 from partialbench import arguments, registry
+from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, given, print_result, stderr
 from partialbench.errors import PartialbenchError
 
-commands = typer.Typer()
+commands = Verbs("Data")
 
 
 class DataSet(StrEnum):
@@ -215,7 +216,7 @@ def _say_source(listing: str) -> None:
 
 @commands.command(epilog="Example: `partialbench verify data/pm40 --source ModelNet40.zip`")
 def verify(
-    folder: Annotated[Path, typer.Argument(help="a data folder")],
+    folder: Annotated[Path, typer.Argument(help="a data folder, or an export of one")],
     source: Annotated[
         str | None, typer.Option(help="what it was made from, to check points against surfaces")
     ] = None,
@@ -224,9 +225,19 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Check digests, schema, values, poses, and that points lie on the source's surface."""
+    from partialbench.dataset.export import check_export, is_export
     from partialbench.dataset.render import source_of
     from partialbench.dataset.verify import verify as check
 
+    if is_export(folder):
+        problems = check_export(folder)
+        words = [*(f"problem: {p}" for p in problems),
+                 f"{folder} is {'NOT sound' if problems else 'sound'}: an export"]  # fmt: skip
+        print_result({"folder": str(folder), "sound": not problems, "problems": problems},
+                     as_json, "\n".join(words))  # fmt: skip
+        if problems:
+            raise typer.Exit(1)
+        return
     options = given(scannet=scannet, scan2cad=scan2cad)
     opened, missing = source_of(folder, "scannet" if options else source, options)
     report = check(folder, opened, no_source=missing)

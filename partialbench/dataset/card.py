@@ -34,9 +34,7 @@ def write_card(folder: Path, manifest: Manifest) -> bytes:
     return content
 
 
-def card_text(
-    folder: Path, manifest: Manifest, patterns: Mapping[str, str] | None = None
-) -> str:
+def card_text(folder: Path, manifest: Manifest, patterns: Mapping[str, str] | None = None) -> str:
     """The card as Markdown: what, counts per class, fields, configuration, digests, versions.
 
     Args:

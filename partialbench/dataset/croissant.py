@@ -1,4 +1,4 @@
-"""``croissant.json``: a data folder in MLCommons' vocabulary, for search engines and ``mlcroissant``.
+"""``croissant.json``: a data folder in MLCommons' vocabulary, for search engines too.
 
 Source: the Croissant format specification 1.1 and its extension for responsible AI 1.0. It lists
 every file with its SHA-256; over Parquet it describes the rows too, so that ``mlcroissant`` reads

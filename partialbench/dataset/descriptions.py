@@ -41,7 +41,9 @@ class Licence(NamedTuple):
 
 _GENERATED = Licence("mit", "https://opensource.org/license/mit")
 _MODELNET = Licence("other", "ModelNet40's terms (https://modelnet.cs.princeton.edu): research use")
-_SCANNET = Licence("other", "the terms of ScanNet and Scan2CAD, which each user signs for themselves")
+_SCANNET = Licence(
+    "other", "the terms of ScanNet and Scan2CAD, which each user signs for themselves"
+)
 LICENCES: dict[str, Licence] = {
     "pm40-parametric": _GENERATED, "ps15-rooms": _GENERATED, "ps15-rooms-standing": _GENERATED,
     "pm40": _MODELNET, "pm40-clouds": _MODELNET, "pm40-release": _MODELNET,

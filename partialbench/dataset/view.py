@@ -119,7 +119,6 @@ def _pose(pose: Any, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64
     if R.shape != (3, 3) or t.shape != (3,) or not is_rotation(R) or not np.isfinite(t).all():
         raise InputError(
             f"pose must be (R (3,3), t (3,)) with R a rotation, got shapes {R.shape} and "
-            f"{t.shape}"
-            + (f", det R = {np.linalg.det(R):g}" if R.shape == (3, 3) else "")
+            f"{t.shape}" + (f", det R = {np.linalg.det(R):g}" if R.shape == (3, 3) else "")
         )
     return R, t

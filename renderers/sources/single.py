@@ -55,7 +55,12 @@ def read_shape(
 
 def _points(given: Any) -> NDArray:
     points = np.asarray(given)
-    if points.dtype.kind not in "fiu" or points.ndim != 2 or points.shape[1] != 3 or not len(points):
+    if (
+        points.dtype.kind not in "fiu"
+        or points.ndim != 2
+        or points.shape[1] != 3
+        or not len(points)
+    ):
         raise InputError(
             f"expected a mesh, a path or (n,3) points, got "
             f"{type(given).__name__} of shape {points.shape} and type {points.dtype}"

@@ -105,7 +105,7 @@ def test_a_model_begins_from_the_weights_of_a_training(weights):
     assert 0 < len(fits) < len(more)
     with pytest.raises(InputError, match="no weights of pointnet come with this release"):
         create_model("pointnet", 3, pretrained=True)
-    with pytest.raises(InputError, match="holds a .*Posed', not a 'pointnet'"):
+    with pytest.raises(InputError, match=r"holds a .*Posed', not a 'pointnet'"):
         create_model("pointnet", 3, pretrained=weights)
 
 

@@ -151,7 +151,7 @@ def test_what_cannot_be_exported_is_said(folder, exported, tmp_path):
     (tmp_path / "full" / "thesis.tex").write_text("")
     with pytest.raises(PartialbenchError, match="not empty and no export"):
         export(folder, "parquet", tmp_path / "full")
-    with pytest.raises(InputError, match="it has no export.json"):
+    with pytest.raises(InputError, match=r"it has no export\.json"):
         check_export(tmp_path)
     other = tmp_path / "other"
     other.mkdir()

@@ -42,10 +42,7 @@ def finish(origin: Origin, done: list[Done]) -> dict[str, bytes]:
     """The card, with front matter that names the splits' files, and croissant.json."""
     manifest = origin.manifest
     patterns = {split: f"data/{split}-*.parquet" for split in manifest.splits()}
-    files = [
-        croissant.File(one.name, croissant.PARQUET, one.bytes, one.sha256)
-        for one in done
-    ]
+    files = [croissant.File(one.name, croissant.PARQUET, one.bytes, one.sha256) for one in done]
     return {
         "README.md": card.card_text(origin.folder, manifest, patterns).encode(),
         croissant.NAME: croissant.text(manifest, files, patterns, table_fields(origin)).encode(),

@@ -1,4 +1,4 @@
-"""What an export is made of: parts that are whole under their names, and what they are made from."""
+"""What an export is made of: parts that are whole under their names, and their origin."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """WebDataset: a tar file a shard, a few small files a row.
 
-A sample "train-00001-000042" has ``.points.npy``, ``.cls`` (the label), ``.json`` (all the rest) and
-where they are there ``.normals.npy`` and ``.depth.npy``. ``webdataset`` decodes them as they are::
+A sample "train-00001-000042" has ``.points.npy``, ``.cls`` (the label), ``.json`` (all the rest)
+and where they are there ``.normals.npy`` and ``.depth.npy``. ``webdataset`` decodes them::
 
     webdataset.WebDataset("train-{00000..00011}.tar").decode().to_tuple("points.npy", "cls")
 """
@@ -58,9 +58,7 @@ def _write(origin: Origin, entry: ShardEntry, number: int, path: Path) -> None:
             tar.addfile(member, io.BytesIO(content))
 
 
-def _members(
-    columns: Columns, prefix: str, class_names: list[str]
-) -> Iterator[tuple[str, bytes]]:
+def _members(columns: Columns, prefix: str, class_names: list[str]) -> Iterator[tuple[str, bytes]]:
     rest = {name: values for name, values in columns.items() if name not in ARRAYS}
     for row, label in enumerate(columns["label"]):
         key = f"{prefix}-{row:06d}"
