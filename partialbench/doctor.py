@@ -87,13 +87,20 @@ def _library(name: str, needed: bool) -> Finding:
 
 def _extra(name: str) -> Finding:
     """Whether all libraries of an extra are there; none is imported."""
-    missing = [module for module in extras.EXTRAS[name] if importlib.util.find_spec(module) is None]
+    missing = [module for module in extras.EXTRAS[name] if not _is_there(module)]
     if missing:
         return Finding(
             f"extra [{name}]", False,
             f"{', '.join(missing)} missing: pip install 'partialbench[{name}]'",
         )  # fmt: skip
     return Finding(f"extra [{name}]", True, ", ".join(extras.EXTRAS[name]))
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ImportError:
+        return False
 
 
 def _variants() -> list[Finding]:

@@ -246,7 +246,7 @@ def verify(
         facts.append(f"points within {report.surface['max']:.1e} of the surface")
     summary = ", ".join(facts)
     for note in report.notes:
-        stderr.print(f"note: {note}")
+        stderr.print(f"note: {note}", markup=False, soft_wrap=True)
     print_result(
         {"folder": str(folder), "sound": report.sound, "problems": report.problems,
          "rows": report.rows, "surface": report.surface},

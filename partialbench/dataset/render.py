@@ -18,6 +18,7 @@ from partialbench.dataset.manifest import Manifest
 from partialbench.dataset.rows import LEAST_VISIBLE, Job
 from partialbench.dataset.sources import Occluder, Source
 from partialbench.errors import InputError
+from partialbench.extras import MissingExtraError
 
 DEFAULT_SOURCE = {"pm40": "parametric", "ps15": "rooms"}
 # The paper: ten views of every training object, one of every test object.
@@ -206,10 +207,10 @@ def source_of(
     if name_or_path is None and recorded["name"] != "parametric":
         return None, "no source given (use --source)"
     if name_or_path in (None, "parametric") and recorded["name"] == "parametric":
-        cls = registry.load(registry.SOURCES["parametric"])
         try:
+            cls = registry.load(registry.SOURCES["parametric"])
             return cls.from_description(recorded), ""
-        except InputError as error:
+        except (InputError, MissingExtraError) as error:
             return None, str(error)
     opened = registry.load(registry.OPEN_SOURCE)(
         name_or_path, described=recorded, **(options or {})
