@@ -4,6 +4,7 @@ FROM python:3.11-slim
 
 # make; the libraries that Mitsuba's LLVM variant and Open3D
 # load are installed by the project's own script, as on any other machine.
+# hadolint ignore=DL3008
 RUN apt-get update \
     && apt-get install -y --no-install-recommends make \
     && rm -rf /var/lib/apt/lists/*

@@ -32,7 +32,9 @@ class Verbs(typer.Typer):
         super().__init__(**kwargs)
         self.panel = panel
 
-    def command(self, *args: Any, **kwargs: Any) -> Callable[[Callable], Callable]:
+    def command(  # type: ignore[override]
+        self, *args: Any, **kwargs: Any
+    ) -> Callable[[Callable], Callable]:
         """As Typer's; the function is returned as it was."""
         if self.panel:
             kwargs.setdefault("rich_help_panel", self.panel)

@@ -144,7 +144,9 @@ def figure(
         data: a data folder, a ``ShardDataset`` or ``TorchDataset``, a ``View``, or clouds (N,3) or
             (B,N,3), camera frame.
         R: the pose R_camera_object (3,3) or (B,3,3) of given clouds, drawn as the object's axes.
-        split, samples, seed: which rows of a data set.
+        split: of a data folder.
+        samples: how many rows of a data set.
+        seed: which ones.
 
     Raises:
         InputError: nothing of the kind.

@@ -133,7 +133,8 @@ def look_at(
     """The pose of an object seen by a camera at ``eye`` that looks at ``target``, upright.
 
     Args:
-        eye, target: (3,) in the object's frame.
+        eye: (3,) where the camera is, in the object's frame.
+        target: (3,) what it looks at, in the same.
         up: (3,), what the picture has upwards (its −y), in the object's frame.
 
     Returns:
