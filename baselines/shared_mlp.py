@@ -76,6 +76,11 @@ class _Moments(torch.autograd.Function):
         return d_x if w is None else d_x.mul_(w[:, None]), None, None
 
 
+def moments(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (C,) and covariance (C,C), divided by the count, of rows (R,C)."""
+    return _Moments.apply(rows, len(rows), None)
+
+
 class _LinearMax(torch.autograd.Function):
     """max over n of x (G,n,C_in) · weightᵀ + bias → (G,C_out), never kept before the maximum.
 

@@ -196,7 +196,7 @@ def test_eval_predict_and_leaderboard_form_a_chain(rendered, tmp_path):
     (checkpoint,) = (tmp_path / "results" / "runs").rglob("checkpoint.pt")
     np.save(tmp_path / "capture.npy", np.random.default_rng(0).normal(size=(100, 3)))
     run = partialbench("predict", "capture.npy", "--checkpoint", checkpoint, "--json",
-                       cwd=tmp_path, check=0)  # fmt: skip
+                       "--model", "my_model:make", cwd=tmp_path, check=0)  # fmt: skip
     assert json.loads(run.stdout)["class"] in ("crate", "tin")
 
 

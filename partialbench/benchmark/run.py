@@ -12,7 +12,7 @@ import numpy as np
 from lightning.fabric import Fabric
 
 from partialbench import registry, user_code
-from partialbench.benchmark import models, preflight
+from partialbench.benchmark import inputs, models, preflight
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.environment import precision_of
 from partialbench.benchmark.fabric import make_fabric
@@ -151,6 +151,9 @@ def run_eval(
     train_set = ShardDataset(data, "train", followed.num_points)
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
     _say_odd_classes(train_set, test_sets[0])
+    if inputs.NORMALS in card.inputs:
+        for part in (train_set, *test_sets):
+            inputs.require(part, model)
     if poses:  # before a training that could not be tested so
         fresh = models.create(model, len(train_set.class_names), chosen)
         testing.try_given_pose(model, fresh, test_sets[0], poses[0], len(train_set.class_names))
@@ -278,6 +281,9 @@ def _test_checkpoint(
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
+    if inputs.needs_normals(model):
+        for part in test_sets:
+            inputs.require(part, model_name)
     if test_poses:
         classes = len(content["class_names"])
         testing.try_given_pose(model_name, model, test_sets[0], test_poses[0], classes)

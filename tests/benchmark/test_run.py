@@ -194,7 +194,7 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"recipe": {"learning_rate": 1}}, "a recipe has no field 'learning_rate'"),
         ({"num_points": 4096}, "4096 were asked for"),
         ({"data": None}, "nothing to train on"),
-        ({"checkpoint_file": "no.pt"}, "--protocol, --clouds would have no effect"),
+        ({"checkpoint_file": "no.pt"}, "no checkpoint at no.pt"),
         ({"checkpoint_every": 0}, "checkpoint_every must be at least 1 step, got 0"),
         ({"recipe": {"batch_size": 200}, "max_train_clouds": 1}, "batches of 2 clouds or more"),
         ({"options": {"widht": 8}}, "no option 'widht'; did you mean width"),

@@ -200,7 +200,7 @@ def test_a_checkpoint_loads_without_running_code_and_a_stranger_does_not(tmp_pat
     torch.save(Path("x"), tmp_path / "code.pt")
     (tmp_path / "cut.pt").write_bytes(finished(tmp_path).read_bytes()[:500])
     for name in ("code.pt", "cut.pt"):
-        with pytest.raises(InputError, match="not a checkpoint that loads safely"):
+        with pytest.raises(InputError, match=r"no checkpoint, or it is damaged|loads safely"):
             checkpoint.load(tmp_path / name)
 
 

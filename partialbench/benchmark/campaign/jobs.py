@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from partialbench.benchmark.campaign.file import Campaign, DataSet, Entry, card_of
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.records.trials import FILE, Trial, read_trials
-from partialbench.benchmark.variant import describe_changes
+from partialbench.benchmark.variant import describe_changes, pairs_text
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
@@ -75,7 +76,7 @@ class Job:
         )
         row = results.with_changes(self.model, changes)
         trial = " (trial)" if self.kind == "tune" else ""
-        return f"{row} on {self.data}, seed {self.seed}, {self.clouds / 1000:g}k{trial}"
+        return f"{row} on {self.data}, seed {self.seed}, {milestones.name(self.clouds)}{trial}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data."""
@@ -229,7 +230,7 @@ class Ledger:
         batch = json.loads(self.recipe_of(job))["batch_size"]
         return (
             job.model, describe_changes({}, json.loads(job.options), None, job.precision),
-            describe_changes(changes, {}), job.seed, train, self._protocol.digest,
+            pairs_text(changes), job.seed, train, self._protocol.digest,
             job.clouds // batch * batch,
         )  # fmt: skip
 

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from partialbench.benchmark import inputs
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
@@ -49,8 +50,7 @@ def run_model(
     model.eval()
     for start in range(0, len(rows), batch_size):
         chosen = rows[start : start + batch_size]
-        points = torch.from_numpy(dataset.points(chosen)).to(device)
-        told = {}
+        points, told = inputs.of_rows(model, dataset, chosen, device)
         if given is not None:
             told["rotation"] = torch.from_numpy(given[start : start + batch_size]).to(device)
         # Not around the yield: a generator must not leave its caller without gradients.

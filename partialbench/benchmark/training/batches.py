@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from partialbench.benchmark import inputs
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol.protocol import Protocol
@@ -43,6 +44,7 @@ class BatchStream:
     Args:
         rows: (m,) row numbers to train on.
         batch_size: clouds a step over all processes; all rows at once when there are fewer.
+        normals: whether batches have the normals of their points.
         rank, world: this process's number and how many there are; a batch is shared out evenly.
     """
 
@@ -55,10 +57,11 @@ class BatchStream:
         seed: int,
         rank: int = 0,
         world: int = 1,
+        normals: bool = False,
     ) -> None:
         self.dataset, self.rows, self.protocol, self.seed = dataset, rows, protocol, seed
         self.batch_size = min(batch_size, len(rows))
-        self.rank, self.world = rank, world
+        self.rank, self.world, self.normals = rank, world, normals
         if self.batch_size < 2:
             raise InputError(
                 f"training needs batches of 2 clouds or more, got batches of {batch_size} from "
@@ -82,7 +85,11 @@ class BatchStream:
         """This process's share of one batch, on the CPU."""
         chosen = order[place.batch * self.batch_size : (place.batch + 1) * self.batch_size]
         rng = generator(self.seed, "augment", place.epoch, place.batch)
-        points = self.dataset.points(chosen, rng, distinct=self.protocol.subset == "distinct")
+        distinct, normals = self.protocol.subset == "distinct", None
+        if self.normals:
+            points, normals = inputs.with_normals(self.dataset, chosen, rng, distinct)
+        else:
+            points = self.dataset.points(chosen, rng, distinct=distinct)
         rotation = self.dataset.rotations[chosen]
         if self.protocol.stretch > 1:
             points = stretched(
@@ -91,6 +98,8 @@ class BatchStream:
         if self.turns:
             turn = haar_rotations(rng, len(chosen))
             points = points @ turn.swapaxes(1, 2).astype(np.float32)
+            if normals is not None:
+                normals = normals @ turn.swapaxes(1, 2).astype(np.float32)
             rotation = turn @ rotation
         if self.protocol.jitter_sigma > 0:
             noise = rng.standard_normal(points.shape, np.float32) * self.protocol.jitter_sigma
@@ -102,6 +111,7 @@ class BatchStream:
             torch.from_numpy(self.dataset.labels[chosen[mine]]),
             torch.from_numpy(rotation[mine].astype(np.float32)),
             torch.from_numpy(mapped.astype(np.float32)),
+            None if normals is None else torch.from_numpy(np.ascontiguousarray(normals[mine])),
         )
 
     def steps(self, first: int, last: int) -> Iterator[tuple[int, Place, Batch]]:
