@@ -1,4 +1,4 @@
-"""The docs: every command they show is one, every block of Python runs, the reference is current."""
+"""The docs: every command they show is one, blocks of Python run, the reference is current."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def commands(page: Path) -> list[list[str]]:
-    """The words of every command of ours that a page shows, in a block of shell or in a sentence."""
+    """The words of every command of ours that a page shows, in blocks of shell and in sentences."""
     text = page.read_text()
     shown = [
         line for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines()
