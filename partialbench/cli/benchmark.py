@@ -32,6 +32,11 @@ class Preset(StrEnum):
     paper = "paper"
 
 
+class Log(StrEnum):
+    csv = "csv"
+    tensorboard = "tensorboard"
+
+
 @commands.command()
 def models(as_json: Json = False) -> None:
     """List the models that `eval --model` knows."""
@@ -84,6 +89,9 @@ def evaluate(
         bool,
         typer.Option(help="train from the seed again; without it, what was begun is gone on with"),
     ] = False,
+    log: Annotated[
+        Log, typer.Option(help="csv, written at the end; or event files for TensorBoard too")
+    ] = Log.csv,
     checkpoint_every: Annotated[
         int | None, typer.Option(help="save every so many steps too, not only every few minutes")
     ] = None,
@@ -124,7 +132,7 @@ def evaluate(
             model, data, results=results, test_data=test_data, checkpoint_file=checkpoint,
             preset=preset.value, seeds=seeds, device=device, clouds=_clouds(clouds),
             restart=restart, first_seed=first_seed, start_from=start_from, precision=precision,
-            checkpoint_every=checkpoint_every, test_points=test_points or (),
+            log_to=log.value, checkpoint_every=checkpoint_every, test_points=test_points or (),
             test_poses=test_pose or (), recipe=arguments.pairs(recipe),
             options=arguments.texts(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
