@@ -37,21 +37,24 @@ def test_a_training_writes_what_its_log_has(data, tmp_path):
 
 def test_lines_of_before_an_interruption_are_not_written_twice(tmp_path):
     history = [{"clouds_seen": n, "train_loss": 1 / n, "clouds_per_second": None} for n in (1, 2)]
-    first = TensorBoard(tmp_path / "a", written=0)
+    first = TensorBoard(tmp_path / "a")
     first.update(history)
     first.update(history)
     first.close()
+    earlier = [dict(line) for line in history]
+    history[-1]["clouds_per_second"] = 4.0  # was not known when the line was written
     history.append({"clouds_seen": 3, "train_loss": 0.1, "clouds_per_second": 5.0})
-    second = TensorBoard(tmp_path / "a", written=2)
+    second = TensorBoard(tmp_path / "a", earlier)
     second.update(history)
     second.close()
     assert [step for step, _ in scalars(tmp_path / "a", "train_loss")] == [1, 2, 3]
+    assert scalars(tmp_path / "a", "clouds_per_second") == [(2, 4.0), (3, 5.0)]
     # A branch of a trunk has a folder of its own: the whole log goes into it.
-    whole = TensorBoard(tmp_path / "b", written=2)
+    whole = TensorBoard(tmp_path / "b", earlier)
     whole.update(history)
     whole.close()
     assert [step for step, _ in scalars(tmp_path / "b", "train_loss")] == [1, 2, 3]
-    assert scalars(tmp_path / "b", "clouds_per_second") == [(3, 5.0)]
+    assert scalars(tmp_path / "b", "clouds_per_second") == [(2, 4.0), (3, 5.0)]
 
 
 def test_an_unknown_log_is_refused():

@@ -28,15 +28,17 @@ class TensorBoard:
 
     Args:
         folder: for the event files.
-        written: lines that an earlier process wrote, if the folder has its files.
+        earlier: lines that an earlier process wrote, if the folder has its files.
     """
 
-    def __init__(self, folder: Path, written: int = 0) -> None:
+    def __init__(self, folder: Path, earlier: Sequence[Mapping[str, Any]] = ()) -> None:
         from torch.utils.tensorboard import SummaryWriter
 
-        begun = any(folder.glob("events.*"))
-        self._written = written if begun else 0
-        self._open: set[str] = set()
+        known = earlier if any(folder.glob("events.*")) else ()
+        self._written = len(known)
+        self._open = (
+            {name for name, value in known[-1].items() if value is None} if known else set()
+        )
         self._writer = SummaryWriter(str(folder))
 
     def update(self, history: Sequence[Mapping[str, Any]]) -> None:

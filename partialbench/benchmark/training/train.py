@@ -168,7 +168,7 @@ def train(
 
     watched = None
     if log_to == "tensorboard" and fabric.is_global_zero:
-        watched = TensorBoard(path.parent / "tensorboard", len(loop.history))
+        watched = TensorBoard(path.parent / "tensorboard", loop.history)
     with (
         contextlib.closing(watched) if watched else contextlib.nullcontext(),
         training_bar(Console(stderr=True), silent=silent or not fabric.is_global_zero) as progress,
