@@ -234,8 +234,8 @@ class NormLinear(Normed):
 class SharedMLP(nn.ModuleList):
     """The shared MLP a-b-c-…: a ``NormLinear`` a step, each followed by ReLU."""
 
-    def __init__(self, *channels: int) -> None:
-        super().__init__(NormLinear(a, b) for a, b in pairwise(channels))
+    def __init__(self, *channels: int, bias: bool = True) -> None:
+        super().__init__(NormLinear(a, b, bias) for a, b in pairwise(channels))
 
     def forward(self, x: Tensor) -> Tensor:
         """(…,C) → (…,C_out)."""

@@ -22,7 +22,12 @@ from baselines.points import flat_index, full_precision, knn
 from baselines.shared_mlp import Normed, chunks
 
 EPS = 1e-6
-"""Added to a vector's length before its normalisation, and to a direction's squared length."""
+"""Added to a vector's length before its normalisation, and to a direction's squared length.
+
+Below it they fade: the direction of a shorter vector counts for less. As published it is too small
+for that, and one point's vector that happens to be near zero, pointing where rounding says, moves
+what follows.
+"""
 WORKING_SET = 8
 """How many arrays of a chunk's vectors the nonlinearity has at a time; they share the cache."""
 
@@ -116,7 +121,7 @@ def _dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 class _LengthMoments(torch.autograd.Function):
-    """Mean and variance (C,) of |q| + EPS over all rows."""
+    """Mean and variance (C,) of |q| over all rows."""
 
     @staticmethod
     def forward(
@@ -138,7 +143,7 @@ class _LengthMoments(torch.autograd.Function):
             mean += (m - mean) * (n / (count + n))
             count += n
         ctx.mean, ctx.count = mean, count
-        return mean + EPS, square / count
+        return mean, square / count
 
     @staticmethod
     @once_differentiable
@@ -161,8 +166,8 @@ class _LengthMoments(torch.autograd.Function):
 class _Nonlinearity(torch.autograd.Function):
     """The mean over each row's edges of (1 − κ)·p + κ·(p, without its part against d).
 
-    p = q·(scale + shift/n) with n = |q| + EPS is the normalised vector, d the direction: where
-    ⟨p,d⟩ < 0 the second is p − ⟨p,d⟩/(|d|² + EPS)·d, else p. κ is 1 less the leaky slope.
+    p = q·(scale + shift/n) with n = |q| + ε is the normalised vector, d the direction: where
+    ⟨p,d⟩ < 0 the second is p − ⟨p,d⟩/(|d|² + ε)·d, else p. κ is 1 less the leaky slope.
     """
 
     @staticmethod
@@ -176,17 +181,18 @@ class _Nonlinearity(torch.autograd.Function):
         shift: Tensor,
         edges: Edges | None,
         kappa: float,
+        eps: float,
     ) -> Tensor:
         ctx.save_for_backward(q, q_centre, d, d_centre, scale, shift)
-        ctx.edges, ctx.kappa = edges, kappa
+        ctx.edges, ctx.kappa, ctx.eps = edges, kappa, eps
         along, across = _Layer((q, q_centre), edges), _Layer((d, d_centre), edges)
         rows = q.shape[1] if edges is None else len(edges.index)
         out = q.new_zeros(3, rows, len(scale))
         for part in along.parts(len(scale)):
             y, z = along.values(part), across.values(part)
-            gain = shift / _dot(y, y).sqrt_().add_(EPS) + scale
+            gain = shift / _dot(y, y).sqrt_().add_(eps) + scale
             against = (_dot(y, z) * gain).clamp_max_(0)
-            against.div_(_dot(z, z).add_(EPS)).mul_(-kappa)
+            against.div_(_dot(z, z).add_(eps)).mul_(-kappa)
             for axis in range(3):
                 value = (y[axis] * gain).addcmul_(against, z[axis])
                 torch.mean(value, dim=1, out=out[axis, part])
@@ -196,7 +202,7 @@ class _Nonlinearity(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, d_out: Tensor) -> tuple[Tensor | None, ...]:
         q, q_centre, d, d_centre, scale, shift = ctx.saved_tensors
-        edges, kappa = ctx.edges, ctx.kappa
+        edges, kappa, eps = ctx.edges, ctx.kappa, ctx.eps
         along, across = _Layer((q, q_centre), edges), _Layer((d, d_centre), edges)
         to_along, to_across = along.zeros(), across.zeros()
         d_scale, d_shift = torch.zeros_like(scale), torch.zeros_like(shift)
@@ -204,9 +210,9 @@ class _Nonlinearity(torch.autograd.Function):
         for part in along.parts(len(scale)):
             y, z, g = along.values(part), across.values(part), d_out[:, part, None]
             length = _dot(y, y).sqrt_()
-            inverse = (length + EPS).reciprocal_()
+            inverse = (length + eps).reciprocal_()
             gain = inverse * shift + scale
-            inner, square = _dot(y, z), _dot(z, z).add_(EPS)
+            inner, square = _dot(y, z), _dot(z, z).add_(eps)
             ratio = (inner * gain).clamp_max_(0).div_(square)  # r of out = gain·q − κ·r·d
             # Nothing flows through r where it is clamped.
             d_ratio = _dot(z, g).mul_(ratio < 0).mul_(-kappa).div_(square)
@@ -224,7 +230,7 @@ class _Nonlinearity(torch.autograd.Function):
                 d_z = d_z.sum(dim=-1, keepdim=True)
             along.add(to_along, d_y, part)
             across.add(to_across, d_z, part)
-        return (*to_along, *to_across, d_scale, d_shift, None, None)
+        return (*to_along, *to_across, d_scale, d_shift, None, None, None)
 
 
 def as_vectors(points: Tensor) -> Tensor:
@@ -251,10 +257,11 @@ class VectorLinear(nn.Linear):
 
 
 class VectorBatchNorm(nn.Module):
-    """v/n·BN(n) with n = |v| + EPS, (3,…,C) → the same; a negative BN(n) turns v round."""
+    """v/n·BN(n) with n = |v| + eps, (3,…,C) → the same; a negative BN(n) turns v round."""
 
-    def __init__(self, channels: int) -> None:
+    def __init__(self, channels: int, eps: float = EPS) -> None:
         super().__init__()
+        self.eps = eps
         self.norm = nn.BatchNorm1d(channels)
 
     def forward(self, v: Tensor) -> Tensor:
@@ -262,7 +269,7 @@ class VectorBatchNorm(nn.Module):
             v = full_precision(v)
             square = v[0].square() + v[1].square() + v[2].square()
             # The root has no slope at 0.
-            length = torch.where(square > 0, square.clamp_min(1e-30).sqrt(), 0.0) + EPS
+            length = torch.where(square > 0, square.clamp_min(1e-30).sqrt(), 0.0) + self.eps
             return v * (
                 self.norm(length.flatten(0, -2).to(self.norm.weight.dtype)).view_as(length) / length
             )
@@ -275,12 +282,15 @@ class VectorReLU(Normed):
         inputs, outputs: vectors.
         slope: of the leaky ReLU; 0 for none.
         shared: whether all outputs have one direction.
+        eps: see ``EPS``.
     """
 
-    def __init__(self, inputs: int, outputs: int, slope: float, shared: bool = False) -> None:
+    def __init__(
+        self, inputs: int, outputs: int, slope: float, shared: bool = False, eps: float = EPS
+    ) -> None:
         super().__init__(inputs, outputs, bias=False)
         self.direction = nn.Linear(inputs, 1 if shared else outputs, bias=False)
-        self.slope = slope
+        self.slope, self.eps = slope, eps
 
     def forward(self, v: Tensor, context: Tensor | None = None) -> Tensor:
         """(3,B,N,C) → (3,B,N,C_out).
@@ -307,10 +317,13 @@ class VectorReLU(Normed):
     def _activated(self, q: Values, d: Values, edges: Edges | None) -> Tensor:
         """The values that W and U make → (3,Q,C)."""
         with torch.autocast(q[0].device.type, enabled=False):
-            moments = _LengthMoments.apply(*q, edges) if self.norm.training else None
+            moments = None
+            if self.norm.training:
+                mean, var = _LengthMoments.apply(*q, edges)
+                moments = mean + self.eps, var
             count = q[0].shape[1] if edges is None else edges.index.numel()
             scale, shift = (x.to(q[0].dtype) for x in self.scale_and_shift(moments, count))
-            return _Nonlinearity.apply(*q, *d, scale, shift, edges, 1 - self.slope)
+            return _Nonlinearity.apply(*q, *d, scale, shift, edges, 1 - self.slope, self.eps)
 
 
 class VectorEdgeConv(VectorReLU):
@@ -320,10 +333,13 @@ class VectorEdgeConv(VectorReLU):
         inputs, outputs: vectors of a point.
         cross: whether x_j × x_i is an input; of one vector a point, the position. It is what tells
             a shape from its mirror image.
+        eps: see ``EPS``.
     """
 
-    def __init__(self, inputs: int, outputs: int, slope: float, cross: bool = False) -> None:
-        super().__init__(3 if cross else 2 * inputs, outputs, slope)
+    def __init__(
+        self, inputs: int, outputs: int, slope: float, cross: bool = False, eps: float = EPS
+    ) -> None:
+        super().__init__(3 if cross else 2 * inputs, outputs, slope, eps=eps)
 
     def forward(self, v: Tensor, edges: Edges) -> Tensor:  # type: ignore[override]
         """(3,B,N,C) → (3,B,N,C_out); of ``position_edges`` only the shape of v counts."""

@@ -14,9 +14,21 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """With what spreadsheets take a cell for a formula."""
 
 
+_UNSEEN = re.compile(
+    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Signs that show nothing and change what is beside them: controls, marks of another direction of
+writing, halves of a character."""
+
+
+def visible(text: str) -> str:
+    """With signs that show nothing by their code points: no name poses as another."""
+    return _UNSEEN.sub(lambda match: f"[U+{ord(match[0]):04X}]", text)
+
+
 def markdown(text: str) -> str:
     """As a cell or a heading of a Markdown table, on one line."""
-    return _MARKDOWN.sub(_escaped, " ".join(text.split()))
+    return _MARKDOWN.sub(_escaped, visible(" ".join(text.split())))
 
 
 def _escaped(match: re.Match[str]) -> str:
@@ -30,4 +42,4 @@ def _escaped(match: re.Match[str]) -> str:
 
 def csv_cell(text: str) -> str:
     """As a cell of a CSV file that a spreadsheet shows instead of running."""
-    return f"'{text}" if text.startswith(_FORMULA) else text
+    return f"'{visible(text)}" if text.startswith(_FORMULA) else visible(text)

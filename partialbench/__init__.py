@@ -30,9 +30,10 @@ if TYPE_CHECKING:
     from partialbench.benchmark.evaluation import evaluate
     from partialbench.benchmark.predict import Answer, Classifier, load_model
     from partialbench.benchmark.pretrained import create_model
+    from partialbench.dataset.gallery import Gallery
+    from partialbench.dataset.gallery import gallery as show
     from partialbench.dataset.loader import ShardDataset
     from partialbench.dataset.render import render_dataset
-    from partialbench.dataset.show import figure as show
     from partialbench.dataset.sources import View
     from partialbench.dataset.torch_dataset import TorchDataset, load_dataset
     from partialbench.dataset.view import render_view
@@ -49,7 +50,8 @@ _WHERE = {
     "View": "partialbench.dataset.sources:View",
     "look_at": "partialbench.geometry.camera:look_at",
     "render_dataset": "partialbench.dataset.render:render_dataset",
-    "show": "partialbench.dataset.show:figure",
+    "show": "partialbench.dataset.gallery:gallery",
+    "Gallery": "partialbench.dataset.gallery:Gallery",
     "list_models": "partialbench.registry:list_models",
     "model_info": "partialbench.registry:card",
     "create_model": "partialbench.benchmark.pretrained:create_model",
@@ -66,7 +68,7 @@ _WHERE = {
 
 __all__ = [  # noqa: RUF022 - in the order of the data
     "load_dataset", "TorchDataset", "ShardDataset", "render_view", "View", "look_at",
-    "render_dataset", "show", "list_models", "model_info", "create_model", "load_model",
+    "render_dataset", "show", "Gallery", "list_models", "model_info", "create_model", "load_model",
     "Classifier", "Answer", "evaluate", "leaderboard", "Board", "InputError", "PartialbenchError",
 ]  # fmt: skip
 

@@ -17,7 +17,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "render": ("mitsuba", "drjit", "trimesh", "manifold3d", "mapbox_earcut", "lxml", "DracoPy"),
     "scan": ("open3d",),
     "train": ("torch", "lightning", "e3nn", "roma"),
-    "board": ("matplotlib", "plotly", "jinja2", "pandas"),
+    "board": ("matplotlib", "jinja2", "pandas"),
     "export": ("pyarrow", "PIL"),
     "cluster": ("distributed", "dask"),
     "log": ("tensorboard",),

@@ -109,7 +109,7 @@ def build_bar(console: Console) -> Iterator[Callable[[BuildProgress], None]]:
 def training_bar(console: Console, silent: bool) -> Bar:
     """A bar over steps; its task has a field "loss", in words."""
     return Bar(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"),
-        TextColumn("{task.fields[loss]}"), TextColumn("left"), TimeRemainingColumn(),
-        console=console, silent=silent,
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TextColumn("steps"), TextColumn("{task.fields[loss]}"), TextColumn("left"),
+        TimeRemainingColumn(), console=console, silent=silent,
     )  # fmt: skip

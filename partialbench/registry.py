@@ -116,6 +116,7 @@ class ModelCard:
 CARD_TABLES: tuple[str, ...] = (
     "baselines.cards:CARDS",
     "baselines.modern_cards:CARDS",
+    "baselines.backbone_cards:CARDS",
     "papnet.cards:CARDS",
 )
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import ast
+import base64
 import doctest
+import html
 import importlib
+import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -182,12 +186,26 @@ def test_fewer_points_a_transform_and_wrong_fields(folder):
         pb.load_dataset(folder, num_points=65)
 
 
-def test_what_is_shown_has_a_scene_a_cloud_and_axes_where_there_is_a_pose(folder, rng):
+def shown(gallery):
+    data = re.search(r'id="samples">(.*?)</script>', gallery.html, re.S)[1]
+    return json.loads(data)
+
+
+def test_what_is_shown_has_a_cloud_and_axes_where_there_is_a_pose(folder, rng, tmp_path):
     cloud = rng.standard_normal((30, 3))
-    assert len(pb.show(cloud).data) == 1
-    assert len(pb.show(np.stack([cloud, cloud]), np.stack([np.eye(3)] * 2)).data) == 8
-    assert len(pb.show(folder, samples=3).data) == 12
-    assert len(pb.show(pb.load_dataset(folder), samples=2).data) == 8
+    (plain,) = shown(pb.show(cloud))
+    assert plain["axes"] == []
+    assert len(base64.b64decode(plain["points"])) == 3 * 30
+    posed = shown(pb.show(np.stack([cloud, cloud]), np.stack([np.eye(3)] * 2)))
+    assert [one["axes"] for one in posed] == [np.eye(3).tolist()] * 2
+    assert len(shown(pb.show(folder, samples=3))) == 3
+    assert len(shown(pb.show(pb.load_dataset(folder), samples=2))) == 2
+    view = pb.render_view(cloud, pb.look_at((0, -3, 0)))
+    (seen,) = shown(pb.show(view))
+    assert np.allclose(seen["axes"], view.R_camera_object.T, atol=1e-3)
+    gallery = pb.show(cloud)
+    assert gallery.save(tmp_path / "page.html").read_text() == gallery.html
+    assert html.escape(gallery.html) in gallery._repr_html_()
     with pytest.raises(InputError, match=r"R has shape \(3, 3\), expected"):
         pb.show(np.stack([cloud, cloud]), np.eye(3))
     with pytest.raises(InputError, match="expected a data folder, a data set, a View, or clouds"):

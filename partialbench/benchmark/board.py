@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +25,7 @@ class Board:
 
     Attributes:
         files: name → content of everything ``save`` writes: "leaderboard.md", "leaderboard.csv",
-            "leaderboard.html", "figures/….svg", …
+            "leaderboard.html", "figures/….svg" …
     """
 
     def __init__(self, files: Mapping[str, bytes]) -> None:
@@ -56,7 +56,12 @@ class Board:
 
 
 def leaderboard(
-    results: Path | str, *, check: bool = False, data: Sequence[Path | str] = ()
+    results: Path | str,
+    *,
+    check: bool = False,
+    data: Sequence[Path | str] = (),
+    figures: bool = False,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> Board:
     """The tables of a folder of records: what ``partialbench leaderboard`` writes.
 
@@ -64,6 +69,8 @@ def leaderboard(
         results: the folder that ``evaluate`` wrote its records to.
         check: recompute every score from the stored predictions first.
         data: data folders the records were tested on, for the clouds of the page's gallery.
+        figures: as SVG and PNG too.
+        on_progress: called with (steps done, steps in all).
 
     Raises:
         InputError: no records, or some that cannot be trusted.
@@ -79,4 +86,5 @@ def leaderboard(
             f"expected the folder of the records (evaluate's results=), got a "
             f"{type(results).__name__}: a table is made from the stored predictions"
         )
-    return Board(registry.load(registry.BOARD_FILES)(results, check, data))
+    make = registry.load(registry.BOARD_FILES)
+    return Board(make(results, check, data, figures, on_progress))

@@ -1,8 +1,8 @@
-"""What a model takes beside the points: normals, where the data have them.
+"""What a model takes beside the points: normals and, in training, poses, where the data have them.
 
 A model says so by an attribute ``needs_normals`` that is true, a registered one on its card too
 (``ModelCard.inputs``). Its forward is then called with ``normals=``, (B,N,3) float32 unit vectors
-in the camera frame, one a point.
+in the camera frame, one a point. One whose loss takes poses says so by ``needs_poses``.
 """
 
 from __future__ import annotations
@@ -33,6 +33,18 @@ def require(dataset: Clouds, model_name: str) -> None:
         raise InputError(
             f"{model_name} takes normals, and the data set {dataset.dataset_id} was made without; "
             f"render it with --normals"
+        )
+
+
+def require_poses(dataset: Clouds, model: nn.Module, model_name: str) -> None:
+    """Raises ``InputError`` for a model with a loss of poses where nobody knows the poses.
+
+    A placeholder would teach it in silence that every object is seen in one pose.
+    """
+    if getattr(model, "needs_poses", False) and not dataset.has_poses:
+        raise InputError(
+            f"{model_name} learns poses, and nobody knows those of the data set "
+            f"{dataset.dataset_id}; train a model, or a variant of it, without pose"
         )
 
 

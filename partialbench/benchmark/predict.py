@@ -18,6 +18,7 @@ from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
+from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.benchmark.training import checkpoint
 from partialbench.benchmark.training.trunk import RunFolder, progress
 from partialbench.dataset.seeding import generator
@@ -237,7 +238,8 @@ class Classifier:
 
     def _prediction(self, clouds: NDArray[np.float32], names: Sequence[str]) -> Prediction:
         try:
-            with torch.inference_mode():
+            # What a model draws or remembers is of no other file: the same file, the same answer.
+            with unchanged(self.model), torch.inference_mode(), keyed_draws(device=self.device):
                 output = self.model(torch.from_numpy(clouds).to(self.device))
             return as_prediction(output, len(clouds), len(self.content["class_names"]))
         except Exception as error:  # whatever a model does not like about a cloud

@@ -11,6 +11,7 @@ import typer
 from partialbench.benchmark import preflight
 from partialbench.cli.verbs import Verbs
 from partialbench.console import continued_by, stderr
+from partialbench.progress import counting_bar
 
 commands = Verbs("Tables")
 
@@ -26,13 +27,18 @@ def leaderboard(
     data: Annotated[
         list[Path] | None, typer.Option(help="data folders, for the clouds of the page's gallery")
     ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="write figures too, as SVG and PNG")
+    ] = False,
 ) -> None:
-    """Make tables, figures and page anew from the records."""
+    """Make page and tables anew from the records."""
     preflight.check_output(out, "--out")
     from partialbench.benchmark.board import leaderboard as make
 
-    for path in make(results, check=check, data=tuple(data or ())).save(out):
-        print(path)
+    bar = counting_bar(stderr, "leaderboard")
+    board = make(results, check=check, data=tuple(data or ()), figures=figures, on_progress=bar)
+    page, *_ = board.save(out)
+    print(page)
 
 
 @commands.command()

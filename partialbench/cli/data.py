@@ -91,7 +91,9 @@ def render(
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
     ] = False,
-    up: Annotated[str | None, typer.Option(help="the files' up axis, z or y [z]")] = None,
+    up: Annotated[
+        str | None, typer.Option(help="the files' up axis, z or y [z; modelnet40_ply_hdf5_2048: y]")
+    ] = None,
     scannet: Annotated[Path | None, typer.Option(help="ps15: folder of ScanNet scans")] = None,
     scan2cad: Annotated[Path | None, typer.Option(help="ps15: full_annotations.json")] = None,
     rooms: Annotated[int | None, typer.Option(help="ps15: how many rooms to simulate")] = None,
@@ -140,6 +142,7 @@ def render(
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
     from partialbench.dataset.card import paper_rows
     from partialbench.dataset.executors import process_pool
+    from partialbench.dataset.objects import notice_lines
     from partialbench.dataset.render import render_dataset
     from partialbench.progress import build_bar, counting_bar
 
@@ -180,6 +183,8 @@ def render(
             rows_per_shard=rows_per_shard,
             retry_failed=retry_failed,
         )  # fmt: skip
+    for line in notice_lines(out):
+        stderr.print(f"note: {line}", markup=False, soft_wrap=True)
     kinds = Counter(f["kind"] for f in manifest.failures)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
     print_result(

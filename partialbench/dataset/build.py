@@ -303,10 +303,11 @@ def _write_shard(
     columns = concatenate([result.columns for result in kept if result.columns is not None])
     table[name] = tables.as_text(
         tables.ObjectLine(
-            split, name, tables.stored_id(r.object_id).decode(), r.object_id, r.source_sha256
+            split, name, tables.stored_id(r.object_id).decode(), r.object_id, r.source_sha256,
+            r.notices,
         )
         for r in kept
-    )
+    )  # fmt: skip
     attributes: dict[str, str | int] = {
         "dataset_id": manifest.dataset_id,
         "configuration_digest": manifest.configuration_digest,

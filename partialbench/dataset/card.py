@@ -11,6 +11,7 @@ import numpy as np
 
 from partialbench.dataset.descriptions import description, front_matter
 from partialbench.dataset.manifest import Manifest
+from partialbench.dataset.objects import notice_lines
 from partialbench.dataset.schema import as_markdown
 from partialbench.dataset.shards import read_columns, write_atomically
 
@@ -70,6 +71,7 @@ def card_text(folder: Path, manifest: Manifest, patterns: Mapping[str, str] | No
         "(`failures.jsonl` has the reasons).",
         "",
         *visibility_lines(manifest),
+        *_noticed(folder),
         "## Fields of a row",
         "",
         "Camera frame: x right, y down, z forward. Object frame: z up, unit ball, bounding-box "
@@ -90,6 +92,14 @@ def card_text(folder: Path, manifest: Manifest, patterns: Mapping[str, str] | No
         "",
     ]
     return "\n".join(lines)
+
+
+def _noticed(folder: Path) -> list[str]:
+    """What reading the objects' files brought to light; nothing where nothing did."""
+    lines = notice_lines(folder)
+    if not lines:
+        return []
+    return ["Noticed in the files (`objects.jsonl` has each):", "", *(f"- {x}" for x in lines), ""]
 
 
 def visibility_lines(manifest: Manifest) -> list[str]:

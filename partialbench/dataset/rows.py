@@ -73,6 +73,7 @@ class ObjectRows:
         depth: the rows' depth images where they are kept, already packed.
         source_sha256: digest of what it was made from, "" when it could not be read.
         failures: JSON records of what gave no row.
+        notices: what the source says of the object's file, such as lines that were left out.
     """
 
     object_id: str
@@ -80,6 +81,7 @@ class ObjectRows:
     source_sha256: str = ""
     failures: list[dict[str, Any]] = field(default_factory=list)
     depth: PackedImages | None = None
+    notices: tuple[str, ...] = ()
 
 
 def make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
@@ -134,6 +136,7 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
         job.source.digest(ref),
         failures,
         PackedImages(image_shape, images) if images else None,
+        tuple(getattr(shape, "metadata", {}).get("notices", ())),
     )
 
 

@@ -1,13 +1,16 @@
 """``partialbench show``: a page of samples that a person can judge, as PNG or interactive HTML.
 
-Each cloud is drawn as its camera sees it (x right, y down), coloured by depth, near bright, with
-the object's canonical axes (x red, y green, z blue) and the visible fraction in its title.
+Each sample twice: as its camera sees it (the depth image, x right, y down, near bright), and from
+the side (the cloud, fainter the whole object where its source is at hand, the camera, and the
+object's canonical axes: x red, y green, z blue). Picture and page show the same view.
 """
 
 from __future__ import annotations
 
+import base64
 import html
 import io
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,17 +19,22 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from plotly.graph_objects import Figure
 
-from partialbench.dataset import manifest as manifests
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.names import printable
+from partialbench.dataset.samples import PITCH, YAW, Scene, packed, projected, scenes
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import make_folder, write_atomically
-from partialbench.dataset.sources import View
 from partialbench.errors import InputError
 
 AXIS_COLOURS = {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"}
+POINTS = 1024
+"""Of a cloud, at most."""
+WHOLE_POINTS = 400
+IMAGE = 96
+"""Pixels of a depth image's longer side on a page, at most."""
+_SPLAT = 40
+"""Pixels of a depth image that is made of a cloud: few enough for a thousand points to fill."""
 
 
 def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed: int = 0) -> Path:
@@ -44,14 +52,12 @@ def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed:
     out = Path(out)
     if out.suffix.lower() not in (".png", ".html"):
         raise InputError(f"--out {out} must end in .png (a picture) or .html (to turn by hand)")
-    stored = int(manifests.load(Path(folder)).configuration["points"])
-    data = ShardDataset(folder, split, stored)
+    data = ShardDataset(folder, split, num_points=1)
+    stored: int = data.manifest.configuration["points"]
+    data = ShardDataset(folder, split, num_points=min(POINTS, stored))
     rows = choose_rows(data.labels, samples, seed)
     make_folder(out.parent)
-    if out.suffix.lower() == ".png":
-        _write_png(data, rows, out)
-    else:
-        _write_html(data, rows, out)
+    write_atomically(out, _png(data, rows) if out.suffix.lower() == ".png" else _page(data, rows))
     return out
 
 
@@ -71,31 +77,50 @@ def choose_rows(labels: NDArray, samples: int, seed: int) -> NDArray[np.int64]:
     return chosen[np.argsort(labels[chosen], kind="stable")]
 
 
-def _write_png(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
+def _png(data: ShardDataset, rows: NDArray[np.int64]) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Page
+    from matplotlib.figure import Figure
 
-    columns = min(6, len(rows))
+    columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
-    figure = Page(figsize=(2.3 * columns, 2.55 * lines + 0.5), dpi=120)
+    figure = Figure(figsize=(3.9 * columns, 2.35 * lines + 0.5), dpi=110)
     FigureCanvasAgg(figure)
-    figure.suptitle(f"{data.dataset_id} · {data.split} · {data.setting}", fontsize=11)
-    for n, (row, cloud) in enumerate(zip(rows, data.points(rows), strict=True)):
-        axes = figure.add_subplot(lines, columns, n + 1)
-        far_first = np.argsort(-cloud[:, 2])
-        x, y = picture(cloud, data.translations[row])[far_first].T
-        axes.scatter(x, y, c=-cloud[far_first, 2], s=1.5, cmap="viridis", lw=0)
-        _draw_axes(axes, data.rotations[row])
+    figure.suptitle(_heading(data), fontsize=11, parse_math=False)
+    pairs = zip(rows, scenes(data, rows.tolist(), WHOLE_POINTS), strict=True)
+    for n, (row, scene) in enumerate(pairs):
+        seen = figure.add_subplot(lines, 2 * columns, 2 * n + 1)
+        seen.imshow(_depth_image(data, row))
+        seen.axis("off")
+        axes = figure.add_subplot(lines, 2 * columns, 2 * n + 2)
+        _draw(axes, scene)
         # A name may have signs that are mathematics to Matplotlib.
         axes.set_title(_title(data, row, "\n"), fontsize=6.5, parse_math=False)
-        axes.set_aspect("equal")
-        axes.set_xlim(-1.3, 1.3)
-        axes.set_ylim(1.3, -1.3)  # y points down
-        axes.axis("off")
     figure.tight_layout(rect=(0, 0, 1, 0.97))
     page = io.BytesIO()
     figure.savefig(page, format="png")
-    write_atomically(out, page.getvalue())
+    return page.getvalue()
+
+
+def _draw(axes: Axes, scene: Scene) -> None:
+    """The scene from the side; the nearer the brighter, as on the page."""
+    for cloud, size, colour, alpha in (
+        (scene.whole, 1.5, "#55606c", 0.45), (scene.points, 3.0, "#1f5fa8", 1.0),
+    ):  # fmt: skip
+        if not len(cloud):
+            continue
+        placed = projected(cloud)
+        far_first = placed[np.argsort(-placed[:, 2])]
+        nearness = alpha * (0.75 - 0.25 * far_first[:, 2].clip(-1, 1))
+        axes.scatter(*far_first[:, :2].T, s=size, c=colour, alpha=nearness, lw=0)
+    for direction, colour in zip(scene.axes, AXIS_COLOURS.values(), strict=True):
+        tip = projected(0.8 * direction)
+        axes.plot([0, tip[0]], [0, tip[1]], color=colour, lw=1.6)
+    for segment in scene.camera:
+        axes.plot(*projected(segment)[:, :2].T, color="#55606c", lw=0.8)
+    axes.set_aspect("equal")
+    axes.set_xlim(-1.3, 1.3)
+    axes.set_ylim(1.3, -1.3)  # y points down
+    axes.axis("off")
 
 
 def picture(cloud: NDArray, centre: NDArray) -> NDArray:
@@ -109,6 +134,49 @@ def picture(cloud: NDArray, centre: NDArray) -> NDArray:
     return (cloud[:, :2] / cloud[:, 2:] - centre[:2] / centre[2]) * centre[2]
 
 
+def _depth_image(data: ShardDataset, row: int) -> NDArray[np.float64]:
+    """(H,W,4) colours in [0, 1], nothing where there is no surface.
+
+    Where the folder has no depth images it is made of the row's points, coarser.
+    """
+    if data.has_depth:
+        depth = data.depth([row])[0].astype(float)
+        depth = depth[:: -(-depth.shape[0] // IMAGE), :: -(-depth.shape[1] // IMAGE)]
+    else:
+        depth = splat(data.points([row])[0], data.translations[row])
+    return coloured(depth)
+
+
+def coloured(depth: NDArray) -> NDArray[np.float64]:
+    """A depth image (H,W) as (H,W,4) colours in [0, 1], near bright, nothing where it is 0."""
+    from matplotlib import colormaps
+
+    surface = depth > 0
+    near, far = (depth[surface].min(), depth[surface].max()) if surface.any() else (0.0, 1.0)
+    colours: NDArray[np.float64] = colormaps["viridis"]((far - depth) / max(far - near, 1e-9))
+    colours[~surface] = 0
+    return colours
+
+
+def splat(cloud: NDArray, centre: NDArray) -> NDArray[np.float64]:
+    """(S,S) z-depth of the nearest point (n,3) in each pixel, 0 for none.
+
+    A cloud without a camera in front of it is seen from afar along z, its depths made positive.
+    """
+    depth = cloud[:, 2].astype(float)
+    depth = depth if depth.min() > 0 else depth - depth.min() + 1
+    seen = picture(cloud, centre)
+    places = (seen / (2.1 * max(1.0, float(np.abs(seen).max()))) + 0.5) * _SPLAT
+    column, line = np.clip(places.astype(int), 0, _SPLAT - 1).T
+    image = np.full((_SPLAT, _SPLAT), np.inf)
+    np.minimum.at(image, (line, column), depth)
+    return np.where(np.isfinite(image), image, 0.0)
+
+
+def _heading(data: ShardDataset) -> str:
+    return f"{data.dataset_id} · {data.split} · {data.setting}"
+
+
 def _title(data: ShardDataset, row: int, after_class: str) -> str:
     """Class, object and the share that is seen, where it is known."""
     share = data.visible_fraction[row]
@@ -117,124 +185,48 @@ def _title(data: ShardDataset, row: int, after_class: str) -> str:
     return f"{printable(category)}{after_class}{printable(name)}{seen}"
 
 
-def _draw_axes(axes: Axes, rotation: NDArray, length: float = 0.3) -> None:
-    """The object's canonical axes in the lower left corner, foreshortened as in the picture."""
-    corner = np.array([-0.95, 0.95])
-    for direction, colour in zip(rotation.T, AXIS_COLOURS.values(), strict=True):
-        tip = direction[:2] * length
-        axes.annotate(
-            "",
-            tuple(corner + tip),
-            tuple(corner),
-            arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.2},
-        )
+def _page(data: ShardDataset, rows: NDArray[np.int64]) -> bytes:
+    return page_of(_heading(data), samples_of(data, rows)).encode()
 
 
-def figure(
-    data: Any,
-    R: NDArray | None = None,
-    *,
-    split: str = "train",
-    samples: int = 8,
-    seed: int = 0,
-) -> Figure:
-    """Clouds to turn by hand, as a Plotly figure: a notebook shows it by itself.
-
-    Args:
-        data: a data folder, a ``ShardDataset`` or ``TorchDataset``, a ``View``, or clouds (N,3) or
-            (B,N,3), camera frame.
-        R: the pose R_camera_object (3,3) or (B,3,3) of given clouds, drawn as the object's axes.
-        split: of a data folder.
-        samples: how many rows of a data set.
-        seed: which ones.
-
-    Raises:
-        InputError: nothing of the kind.
-
-    ::
-
-        partialbench.show("data/pm40")
-        partialbench.show(view)                       # of render_view
-        partialbench.show(points, answer.rotation)    # a capture, with the pose that was found
-    """
-    shards = getattr(data, "shards", data)
-    if isinstance(shards, str | Path):
-        stored = int(manifests.load(Path(shards)).configuration["points"])
-        shards = ShardDataset(shards, split, stored)
-    if isinstance(shards, ShardDataset):
-        if R is not None:
-            raise InputError("R belongs to given clouds; a data set has its own poses")
-        return _of_rows(shards, choose_rows(shards.labels, samples, seed))
-    if isinstance(data, View):
-        seen = f"{data.visible_fraction:.0%} seen"
-        return _drawn([data.points], [data.R_camera_object], [seen], "")
-    clouds = np.asarray(data, np.float64)
-    clouds = clouds[None] if clouds.ndim == 2 else clouds
-    if clouds.ndim != 3 or clouds.shape[2] != 3 or 0 in clouds.shape:
-        raise InputError(
-            f"expected a data folder, a data set, a View, or clouds (N,3) or (B,N,3); got a "
-            f"{type(data).__name__} of shape {np.shape(data)}"
-        )
-    rotations: list[NDArray | None] = [None] * len(clouds)
-    if R is not None:
-        given = np.asarray(R, np.float64)
-        given = given[None] if given.ndim == 2 else given
-        if given.shape != (len(clouds), 3, 3):
-            raise InputError(f"R has shape {np.shape(R)}, expected (3,3) for each of the clouds")
-        rotations = list(given)
-    return _drawn(list(clouds), rotations, [""] * len(clouds), "")
+def samples_of(data: ShardDataset, rows: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """Rows as ``page_of`` takes them."""
+    return [
+        sample(_title(data, row, " · "), _depth_image(data, row), scene)
+        for row, scene in zip(rows, scenes(data, rows.tolist(), WHOLE_POINTS), strict=True)
+    ]
 
 
-def _write_html(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
-    page = _of_rows(data, rows).to_html(include_plotlyjs=True, full_html=True, div_id="samples")
-    write_atomically(out, page.encode())
+def sample(title: str, colours: NDArray, scene: Scene) -> dict[str, Any]:
+    """One sample of a page: its depth image as colours (H,W,4), and its scene."""
+    return {
+        "title": title,
+        "depth": _data_url(colours),
+        "points": packed(scene.points),
+        "whole": packed(scene.whole),
+        "axes": np.round(scene.axes, 3).tolist(),
+        "camera": np.round(scene.camera, 3).tolist(),
+    }
 
 
-def _of_rows(data: ShardDataset, rows: NDArray[np.int64]) -> Figure:
-    titles = [html.escape(_title(data, row, " · "), quote=False) for row in rows]
-    rotations: list[NDArray | None] = list(data.rotations[rows])
-    about = f"{data.dataset_id} · {data.split} · {data.setting}: drag to turn"
-    return _drawn(list(data.points(rows)), rotations, titles, about)
+def _data_url(colours: NDArray) -> str:
+    from matplotlib import image
+
+    buffer = io.BytesIO()
+    image.imsave(buffer, colours, format="png", metadata={"Software": None})
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
-def _drawn(
-    clouds: list[NDArray], rotations: list[NDArray | None], titles: list[str], about: str
-) -> Figure:
-    """A scene a cloud, seen from the camera, with the object's axes where the pose is known."""
-    import plotly.graph_objects as go
-    from plotly.subplots import make_subplots
-
-    columns = min(4, len(clouds))
-    lines = -(-len(clouds) // columns)
-    figure = make_subplots(
-        lines, columns, specs=[[{"type": "scene"}] * columns] * lines, subplot_titles=titles,
-        horizontal_spacing=0.01, vertical_spacing=0.4 / lines / 4,
-    )  # fmt: skip
-    for n, (cloud, rotation) in enumerate(zip(clouds, rotations, strict=True)):
-        place = {"row": n // columns + 1, "col": n % columns + 1}
-        centred = cloud - cloud.mean(0)
-        x, y, z = np.round(centred, 3).T
-        marker = {"size": 1.6, "color": np.round(-cloud[:, 2], 3), "colorscale": "Viridis"}
-        figure.add_trace(
-            go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, hoverinfo="skip"), **place
-        )
-        axes = () if rotation is None else zip(rotation.T, AXIS_COLOURS.items(), strict=True)
-        for direction, (axis, colour) in axes:
-            tip = direction * 0.6
-            figure.add_trace(
-                go.Scatter3d(
-                    x=[0, tip[0]], y=[0, tip[1]], z=[0, tip[2]], mode="lines+text",
-                    text=["", axis], line={"color": colour, "width": 4}, hoverinfo="skip",
-                ),
-                **place,
-            )  # fmt: skip
-    # Seen from the camera: looking along +z, y down.
-    view = {"eye": {"x": 0, "y": 0, "z": -1.8}, "up": {"x": 0, "y": -1, "z": 0}}
-    hidden = {"visible": False}
-    figure.update_scenes(camera=view, aspectmode="data", xaxis=hidden, yaxis=hidden, zaxis=hidden)
-    figure.update_annotations(font_size=11)
-    figure.update_layout(
-        title=about or None, height=300 * lines + 80, showlegend=False,
-        margin={"l": 8, "r": 8, "t": 70 if about else 30, "b": 8},
-    )  # fmt: skip
-    return figure
+def page_of(heading: str, samples: list[dict[str, Any]]) -> str:
+    """The HTML page, one file; the samples' fields are what gallery.html reads."""
+    folder = Path(__file__).parent
+    script = (folder / "viewer.js").read_text(encoding="utf-8")
+    text = (folder / "gallery.html").read_text(encoding="utf-8")
+    # "</script" would end the element, whatever the quotes around it.
+    data = json.dumps(samples, separators=(",", ":")).replace("<", "\\u003c")
+    for mark, content in (
+        ("@HEADING@", html.escape(heading)), ("@VIEW@", f"{YAW} {PITCH}"),
+        ("@VIEWER@", script), ("@SAMPLES@", data),
+    ):  # fmt: skip
+        text = text.replace(mark, content)
+    return text

@@ -46,7 +46,8 @@ class CompleteClouds:
 
     Args:
         path: the file or the folder.
-        up: the files' upward axis, "z" or "y" (y is turned onto z).
+        up: the files' upward axis, "z" or "y" (y is turned onto z); by default "y" for
+            modelnet40_ply_hdf5_2048, which is published so, "z" for all others.
         aligned: whether all objects of a class face the same way, as pose labels need; by default
             yes for an HDF5 file of the first kind, no for all others.
 
@@ -57,16 +58,16 @@ class CompleteClouds:
     """
 
     def __init__(
-        self, path: str | PathLike[str], up: str = "z", aligned: bool | None = None
+        self, path: str | PathLike[str], up: str | None = None, aligned: bool | None = None
     ) -> None:
-        if up not in UPS:
+        if up not in (*UPS, None):
             raise InputError(f"up must be one of {', '.join(UPS)}, got {up!r}")
         path = Path(path)
         if not path.exists():
             raise InputError(f"{path} does not exist; expected an HDF5 file or a folder of clouds")
         self._store = _store(path)
         own = isinstance(self._store, HdfStore)
-        self.up = up
+        self.up = up or ("y" if isinstance(self._store, PlyHdf5Store) else "z")
         self.frame = "aligned" if (own if aligned is None else aligned) else "original"
         listed = self._store.listing
         self.class_names = listed.class_names

@@ -2,7 +2,8 @@
 
 Each file has ``data`` (M,N,3), ``label`` (M,1) and ``normal`` (M,N,3). ``train_files.txt`` and
 ``test_files.txt`` are its official splits, ``shape_names.txt`` its classes, and
-``ply_data_train_0_id2file.json`` says which mesh each row of ``ply_data_train0.h5`` is of.
+``ply_data_train_0_id2file.json`` says which mesh each row of ``ply_data_train0.h5`` is of. y is up:
+PointNet turns its training clouds about y.
 """
 
 from __future__ import annotations
@@ -121,7 +122,8 @@ class PlyHdf5Store:
         out = [r.location for r in listing.rejected]
         listing.words = (
             f"modelnet40_ply_hdf5_2048: {len(present)} classes, {counts['train']:,} training, "
-            f"{counts['test']:,} test objects; {splits}; it is published with y up (--up y)"
+            f"{counts['test']:,} test objects; {splits}; y up, as it is published, unless "
+            f"--up says otherwise"
             + (f"; {len(out)} files left out: {', '.join(out)}" if out else "")
         )
 

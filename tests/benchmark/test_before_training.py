@@ -18,8 +18,9 @@ from partialbench.benchmark.protocol.split import split_by_object
 from partialbench.benchmark.records.trials import FILE, read_trials
 from partialbench.benchmark.run import run_eval
 from partialbench.benchmark.training import seeds
-from partialbench.benchmark.training.held import LOCK, HeldError, hold
+from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.tune import tune
+from partialbench.dataset.lock import NAME, InUseError
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import data_folder
@@ -174,41 +175,20 @@ def test_one_process_holds_a_training(tmp_path):
     assert other.stdout is not None
     assert other.stdout.readline() == "held\n"
     with (
-        pytest.raises(HeldError, match=f"is being worked on by process {other.pid} on "),
+        pytest.raises(InUseError, match=f"working on {folder} .process {other.pid} on .*--resume"),
         hold(folder),
     ):
         pass
     other.kill()
     other.wait()
     with hold(folder):
-        assert json.loads((folder / LOCK).read_text())["pid"] != other.pid
+        assert json.loads((folder / NAME).read_text())["pid"] != other.pid
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be made"), hold(tmp_path / "file" / "run"):
+    with (
+        pytest.raises(InputError, match=r"cannot use .*--results"),
+        hold(tmp_path / "file" / "run"),
+    ):
         pass
-
-
-def test_where_there_are_no_locks_a_dead_holder_holds_nothing(tmp_path, monkeypatch):
-    import errno
-    import fcntl
-    import socket
-
-    def unsupported(*_):
-        raise OSError(errno.EOPNOTSUPP, "not supported")
-
-    monkeypatch.setattr(fcntl, "flock", unsupported)
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    for pid, host, free in (
-        (dead.pid, socket.gethostname(), True), (1, socket.gethostname(), False),
-        (dead.pid, "elsewhere", False),
-    ):  # fmt: skip
-        (tmp_path / LOCK).write_text(json.dumps({"pid": pid, "host": host}))
-        if free:
-            with hold(tmp_path):
-                pass
-        else:
-            with pytest.raises(HeldError), hold(tmp_path):
-                pass
 
 
 def test_temporary_names_are_each_writers_own(tmp_path, monkeypatch):

@@ -1,11 +1,15 @@
 """What a campaign file may say, and what is said of one that is wrong."""
 
+import itertools
+import json
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from partialbench.benchmark.campaign.file import load
-from partialbench.benchmark.campaign.jobs import Condition, all_jobs
+from partialbench.benchmark.campaign.jobs import Condition, Ledger, all_jobs, from_dict
+from partialbench.benchmark.campaign.run import run
 from partialbench.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,6 +72,25 @@ def test_two_entries_of_one_training_are_one_with_the_tests_of_both(tmp_path):
     assert Condition("rooms", 64) in job.tests
 
 
+def test_an_entry_may_change_the_protocol_and_is_then_another_training(tmp_path):
+    entry = '[[train]]\nmodels = "pointnet"\ndata = "shapes"\nclouds = 100\nprotocol = {}\n'
+    more = "".join(entry.replace("{}", fields) for fields in ("{stretch = 1.25}", "{stretch = 1}"))
+    campaign = load(written(tmp_path, SMALL + more))
+    ledger = Ledger(campaign)
+    jobs = [
+        j for j in all_jobs(campaign)
+        if j.kind == "train" and (j.model, j.seed, j.clouds) == ("pointnet", 0, 100)
+    ]  # fmt: skip
+    # A stretch of 1 is what the preset has: it is the file's first entry again.
+    assert [job.protocol for job in jobs] == ["{}", '{"stretch": 1.25}']
+    plain, stretched = (ledger.protocol_of(job) for job in jobs)
+    assert (plain.preset, plain.stretch) == ("smoke", 1.0)
+    assert (stretched.preset, stretched.stretch) == ("smoke+", 1.25)
+    assert jobs[0].training != jobs[1].training
+    assert "stretch=1.25" in jobs[1].title
+    assert from_dict(jobs[1].as_dict()) == jobs[1]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -82,6 +105,18 @@ def test_two_entries_of_one_training_are_one_with_the_tests_of_both(tmp_path):
         ('"100"', '"many"', "many"),
         ('render = "pm40 --counts 2,1 --views 1"', 'rendr = "x"', "has no field 'rendr'"),
         ("--views 1", "--views 1 --out x", "must not say --out"),
+        (
+            "points = 64",
+            "protocol = {strech = 2}",
+            "line 18: .* no field 'strech'; did you mean st",
+        ),
+        ("points = 64", "protocol = {stretch = 0.5}", "stretch must be 1 .none. or more, got 0.5"),
+        ("--views 1", "--views '1", "line 7: render of .data.shapes.: No closing quotation"),
+        ("tries = [{lr = 0.001}, {lr = 0.002}]", 'tries = "lr"', "tries must be a list of tables"),
+        ("points = 64", "points = 0", "line 18: points must be 1 or more, got 0"),
+        ("points = 64", 'precision = "64-true"', "line 18: precision '64-true' is not trained in"),
+        ("points = 64", 'poses = ["up"]', "a test pose is 'random' or the half width"),
+        ('"dgcnn"', '"./none.py:make"', "line 13: no file at none.py"),
         ("[[tune]]", "[[tune]", "is not TOML: .*line 20"),
     ],
 )
@@ -91,11 +126,53 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path, old, new, message):
         load(written(tmp_path, SMALL.replace(old, new, 1)))
 
 
+def test_what_records_write_otherwise_is_one_job(tmp_path, monkeypatch):
+    """Else it would be looked for under one name and recorded under another."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my-net.py").write_text("")
+    text = SMALL.replace('"dgcnn"', '"./my-net.py:make"').replace(
+        "points = 64", 'precision = "bf16"\nposes = [0.0, "0", 15, "random"]'
+    )
+    (entry, _) = load(written(tmp_path, text)).entries
+    assert entry.models == ("pointnet", "my-net.py:make")
+    assert entry.precision == "bf16-mixed"
+    assert entry.poses == ("0", "15", "random")
+
+
+def test_options_that_a_record_would_have_otherwise_are_refused_before_anything_is_made(tmp_path):
+    for options, message in (
+        ("{k = 20}", r"options of dgcnn are \{'k': 20\}; .* they are \{\}: write them so"),
+        ('{k = "5"}', "they are {'k': 5}: write them so"),
+        ("{kk = 5}", "dgcnn has no option 'kk'; did you mean k"),
+    ):
+        more = f"[[train]]\nmodels = 'dgcnn'\ndata = 'shapes'\nclouds = 50\noptions = {options}\n"
+        with pytest.raises(InputError, match=message):
+            run(load(written(tmp_path, SMALL + more)))
+    assert [path.name for path in tmp_path.iterdir()] == ["board.toml"]
+
+
 def test_no_file_and_no_run_are_said(tmp_path):
     with pytest.raises(InputError, match="not a readable campaign file"):
         load(tmp_path / "none.toml")
     with pytest.raises(InputError, match="declares no run"):
         load(written(tmp_path, "preset = 'smoke'"))
+
+
+def test_the_pose_study_is_a_full_factorial():
+    campaign = load(ROOT / "leaderboard" / "pose.toml")
+    ledger = Ledger(campaign)
+    cells = Counter(
+        (
+            json.loads(job.options).get("pose_weight", "λ"),
+            "ray" in json.loads(job.options),
+            ledger.protocol_of(job).stretch,
+        )
+        for job in all_jobs(campaign)
+        if job.kind == "train" and job.model == "papnet-steered"
+    )
+    # Pose weight × ray × stretch, three seeds each; 0.3 is the default and not written.
+    expected = itertools.product(("λ", 0.0), (False, True), (1.0, 1.25))
+    assert cells == dict.fromkeys(expected, 3)
 
 
 def test_the_board_s_own_file_holds_together():

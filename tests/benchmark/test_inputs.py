@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 import torch
 from torch import nn
 
+from partialbench import registry
 from partialbench.benchmark import inputs
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol.protocol import PRESETS
@@ -99,3 +102,37 @@ def test_data_without_normals_are_refused(tmp_path) -> None:
 def test_a_batch_without_normals_is_as_ever() -> None:
     batch = Batch(*(torch.zeros(1) for _ in range(4)))
     assert batch.normals is None
+
+
+def test_where_nobody_knows_the_poses_none_is_learnt() -> None:
+    clouds = MemoryClouds()
+    clouds.has_poses = False
+    rows = np.arange(len(clouds))
+    s = BatchStream(clouds, rows, PRESETS["paper"], 8, seed=1)
+    batch = s.make(Place(0, 0), s.order(0))
+    assert batch.rotation.isnan().all()
+    assert batch.mapped_rotation.isnan().all()
+    clouds.has_poses = True
+    known = BatchStream(clouds, rows, PRESETS["paper"], 8, seed=1)
+    torch.testing.assert_close(batch.points, known.make(Place(0, 0), known.order(0)).points)
+    assert WithLoss(registry.create("pointnet", 3), 0.0, 3)(batch).isfinite()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "learns"),
+    [
+        ("papnet-steered", {}, True),
+        ("papnet-steered", {"pose_weight": 0.0}, False),
+        ("papnet-steered-nopose", {}, False),
+        ("papnet", {"grid": 16}, True),
+        ("papnet", {"grid": 16, "variant": "without-pose"}, False),
+        ("pointnet", {}, False),
+    ],
+)
+def test_models_that_learn_poses_are_refused_data_without(name, options, learns) -> None:
+    clouds, model = MemoryClouds(), registry.create(name, 3, **options)
+    inputs.require_poses(clouds, model, name)
+    clouds.has_poses = False
+    expected = pytest.raises(InputError, match=f"{name} learns poses, and nobody knows those")
+    with expected if learns else contextlib.nullcontext():
+        inputs.require_poses(clouds, model, name)

@@ -61,9 +61,10 @@ def test_every_name_gives_its_object(made) -> None:
 def test_every_name_is_drawn(made, tmp_path) -> None:
     for name in ("page.png", "page.html"):
         show(made[1], tmp_path / name, samples=len(ODD))
-    assert "&lt;b&gt;bold" in (tmp_path / "page.html").read_text().replace("\\u003c", "<").replace(
-        "\\u003e", ">"
-    ).replace("\\u0026", "&")
+    # On the page names are data, which a script sets as text.
+    page = (tmp_path / "page.html").read_text()
+    assert "\\u003cb>bold" in page
+    assert "<b>bold" not in page
 
 
 COMMAND = [sys.executable, "-m", "partialbench.cli", "render", "pm40", "--views", "1", "--points",

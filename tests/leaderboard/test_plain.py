@@ -11,7 +11,7 @@ import pytest
 
 from leaderboard.build import build_leaderboard
 from leaderboard.output import LIST
-from leaderboard.plain import csv_cell, markdown
+from leaderboard.plain import csv_cell, markdown, visible
 from tests.leaderboard.records import CLASSES, add
 
 NAMES = ["$x_1$ and $y^2$", "a|b", "=1+1|cmd", "+x", "-y", "@z", "<img src=x onerror=alert(1)>",
@@ -29,6 +29,13 @@ def test_markdown_shows_the_name_and_nothing_else(name):
     assert rendered(cell) == name
     assert "<" not in cell
     assert not re.search(r"(?<!\\)(\\\\)*[|$`*]", cell.replace("\\\\", ""))
+
+
+def test_a_sign_that_shows_nothing_is_told():
+    name = "a\u202eb\u2066c\x1b[2Jd\ud800"
+    shown = "a[U+202E]b[U+2066]c[U+001B][2Jd[U+D800]"
+    assert (visible(name), csv_cell(name), rendered(markdown(name))) == (shown,) * 3
+    assert visible("Ça, 猫 カップ, آب\u200cنما") == "Ça, 猫 カップ, آب\u200cنما"
 
 
 def test_words_and_lists_of_changes_stay_as_they_are():

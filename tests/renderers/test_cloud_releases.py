@@ -49,7 +49,8 @@ def release(tmp_path: Path, rng) -> tuple[Path, np.ndarray]:
 
 def test_the_release_has_its_splits_names_and_normals(release) -> None:
     root, points = release
-    for source in (open_source(root), open_source(root / "ply_data_train0.h5")):
+    for path in (root, root / "ply_data_train0.h5"):
+        source = open_source(path, up="z")
         assert source.class_names == ("mug", "pan", "pot")
         train = source.objects("train")
         assert [(r.object_id, r.label) for r in train] == [
@@ -62,9 +63,11 @@ def test_the_release_has_its_splits_names_and_normals(release) -> None:
     both = open_source(root)
     assert [r.object_id for r in both.objects("test")] == ["ply_data_test0/00000"]
     assert "3 classes, 3 training, 1 test objects; splits from train_files.txt" in both.listing
-    assert "y up (--up y)" in both.listing
-    turned = open_source(root, up="y").load(both.objects("train")[1])
-    x, y, z = both.load(both.objects("train")[1]).normals.T
+    assert "y up, as it is published" in both.listing
+    # As published: y is up.
+    assert both.describe()["up"] == "y"
+    turned = both.load(both.objects("train")[1])
+    x, y, z = open_source(root, up="z").load(both.objects("train")[1]).normals.T
     np.testing.assert_allclose(turned.normals, np.stack([x, -z, y], axis=1), atol=1e-7)
 
 

@@ -62,6 +62,11 @@ def found(*names: str) -> list[tuple[str, str, str]]:
              ("night_stand", "night_stand_01", "train")],
             "<split>/<class>_<number>.off",
         ),
+        (
+            ["trainval/mug/0.off", "trainval/spoon/1.off", "test_set/mug/2.off"],
+            [("mug", "0", "train"), ("mug", "2", "test"), ("spoon", "1", "train")],
+            "<split>/<class>/<file>",
+        ),
         (["mug/a.off", "spoon/b.off"], [("mug", "a", ""), ("spoon", "b", "")], "<class>/<file>"),
         (
             ["ds/mug/a.off", "ds/mug/b.off", "ds/spoon/c.off"],
@@ -265,3 +270,39 @@ def test_a_long_header_decides_by_its_faces_and_no_body_is_read(
     monkeypatch.setattr("renderers.sources.files.Directory.read", lambda *_: pytest.fail("read"))
     assert open_source(tmp_path / "mesh").describe()["name"] == "folder"
     assert open_source(tmp_path / "cloud").describe()["name"] == "custom-clouds"
+
+
+def test_lists_in_a_folder_of_their_own_are_of_the_classes_beside_it(tmp_path: Path, rng) -> None:
+    """As ShapeNet's part annotations come."""
+    content = "\n".join(" ".join(map(str, row)) for row in rng.random((20, 3))).encode()
+    names = [f"{synset}/{k}.txt" for synset in ("02691156", "03001627") for k in "abc"]
+    write(tmp_path, *names, content=content)
+    for split, k in (("train", "a"), ("val", "b"), ("test", "c")):
+        listed = f'["shape_data/02691156/{k}", "shape_data/03001627/{k}"]'.encode()
+        write(tmp_path, f"train_test_split/shuffled_{split}_file_list.json", content=listed)
+    source = open_source(tmp_path)
+    train = [ref.object_id for ref in source.objects("train")]
+    assert train == ["02691156/a", "02691156/b", "03001627/a", "03001627/b"]
+    assert [ref.object_id for ref in source.objects("test")] == ["02691156/c", "03001627/c"]
+    assert not source.rejected
+
+
+def test_doubtful_names_of_classes_are_said(tmp_path: Path) -> None:
+    names = ("test/a.off", "other/b.off", "caf\u00e9/c.off", "cafe\u0301/d.off")
+    source = open_source(write(tmp_path, *names))
+    assert "'test' is taken for a class" in source.listing
+    assert r"'cafe\u0301', 'caf\xe9' are a class each" in source.listing
+    assert len(source.class_names) == 4
+
+
+def test_a_zip_with_backslashes_is_one_with_slashes(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "old.zip", "w") as packed:
+        for name in (r"mug\train\a.off", r"mug\test\b.off"):
+            info = zipfile.ZipInfo("-")
+            info.filename = name
+            packed.writestr(info, OFF)
+    source = open_source(tmp_path / "old.zip")
+    [ref] = source.objects("test")
+    assert (ref.object_id, len(source.load(ref).faces)) == ("mug/b", 2)
+    with pytest.raises(InputError, match="2 of these formats lie otherwise"):
+        open_source(write(tmp_path / "flat", "a.off", "b.off"))

@@ -104,8 +104,12 @@ class BatchStream:
         if self.protocol.jitter_sigma > 0:
             noise = rng.standard_normal(points.shape, np.float32) * self.protocol.jitter_sigma
             points = points + noise.clip(-self.protocol.jitter_clip, self.protocol.jitter_clip)
+        if not self.dataset.has_poses:
+            rotation = np.full_like(rotation, np.nan)
         mine = slice(self.rank, None, self.world)
-        mapped = map_rotations(rotation[mine], self.dataset.symmetries[chosen[mine]])
+        mapped = rotation[mine]
+        if self.dataset.has_poses:
+            mapped = map_rotations(mapped, self.dataset.symmetries[chosen[mine]])
         return Batch(
             torch.from_numpy(np.ascontiguousarray(points[mine], np.float32)),
             torch.from_numpy(self.dataset.labels[chosen[mine]]),

@@ -100,6 +100,7 @@ class Loop:
         class_names = list(task.dataset.class_names)
         seed_all(step_seed(task.seed, "init"))
         bare = models.create(task.model, len(class_names), task.options)
+        inputs.require_poses(task.dataset, bare, task.model)
         if task.start is not None:
             fresh = finetune.begin(
                 bare, task.start, class_names, lambda k: models.create(task.model, k, task.options)
