@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DATED = ("findings",)
 """Pages that say what was run when they were written."""
 PAGES = [
-    pytest.param(ROOT / "README.md", marks=pytest.mark.xfail(reason="shows presets of before")),
+    ROOT / "README.md",
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page.stem not in DATED),
 ]
 HOW_TO = ("see_a_sample", "own_meshes", "dataloader", "train", "open_the_board", "classify")
