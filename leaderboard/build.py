@@ -20,6 +20,7 @@ from leaderboard.tables.layouts import layouts
 from leaderboard.tables.poses import pose_layouts
 from leaderboard.tables.settings import as_layout, losses, setting_families
 from leaderboard.tables.transductive import transductive_layouts
+from leaderboard.tables.transfer import transfer_layouts
 from leaderboard.tables.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
 from partialbench.errors import InputError
@@ -35,10 +36,28 @@ def build_leaderboard(
     with_figures: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Writes leaderboard.html, .md, .csv and .tex, two more .csv and, if asked, figures/.
+    """Writes what ``board_files`` makes; returns the paths, the page's first.
 
-    The same records (and data) give the same bytes. Files of an earlier board that this one lacks
-    are removed from ``out``.
+    Files of an earlier board that this one lacks are removed from ``out``.
+
+    Raises:
+        InputError: see there; nothing is written.
+    """
+    return write_board(
+        Path(out), board_files(results_folder, check, data, with_figures, on_progress)
+    )
+
+
+def board_files(
+    results_folder: Path | str,
+    check: bool = False,
+    data: Sequence[Path | str] = (),
+    with_figures: bool = False,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> dict[str, bytes]:
+    """leaderboard.html, .md, .csv and .tex, two more .csv and, if asked, figures/, by name.
+
+    The same records (and data) give the same bytes.
 
     Args:
         check: recompute every score from the stored predictions first, and hold cards against the
@@ -49,14 +68,10 @@ def build_leaderboard(
         with_figures: figures/*.svg and *.png too.
         on_progress: called with (steps done, steps in all).
 
-    Returns:
-        the paths, the page's first.
-
     Raises:
-        InputError: no records, or some that cannot be trusted: all that is wrong is listed, and
-            nothing is written.
+        InputError: no records, or some that cannot be trusted: all that is wrong is listed.
     """
-    folder, out = Path(results_folder), Path(out)
+    folder = Path(results_folder)
     _require_none(problems(folder, recompute=check), folder)
     test_sets = [clouds.open_test_split(Path(each)) for each in data]
     if check:
@@ -98,6 +113,7 @@ def build_leaderboard(
         *(as_layout(family, lost) for family, lost in settings),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *transfer_layouts(board, folder),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
@@ -118,9 +134,8 @@ def build_leaderboard(
         from leaderboard.figures import draw as figures  # Matplotlib takes its time to load
 
         contents |= figures.files(board, comparisons, families, given_poses, folder)
-    written = write_board(out, contents)
     steps.next()
-    return written
+    return contents
 
 
 class _Steps:

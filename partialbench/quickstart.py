@@ -8,7 +8,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from partialbench import registry
 from partialbench.dataset.build import build
 from partialbench.dataset.executors import process_pool
 from partialbench.dataset.render import plan_render
@@ -51,15 +50,16 @@ def quickstart(
     show(data, out / "gallery.html", samples=12)
     step(f"3/4 training and testing {', '.join(models)}")
     # Imported here: torch takes seconds to load, and the steps before it have something to show.
-    from partialbench.benchmark.run import run_eval
+    from partialbench.benchmark.board import leaderboard
+    from partialbench.benchmark.evaluation import evaluate
 
     results_of = {}
     for model in models:
-        (results_of[model],) = run_eval(
-            model, data, preset="board", results_folder=results, clouds=[CLOUDS_SEEN]
+        (results_of[model],) = evaluate(
+            model, data, results=results, preset="board", clouds=[CLOUDS_SEEN]
         )
     step("4/4 writing the leaderboard")
-    page, *_ = registry.load(registry.LEADERBOARD)(results, board, data=[data])
+    page, *_ = leaderboard(results, data=[data]).save(board)
     scores = ", ".join(f"{m} {r.scores['accuracy']:.1%}" for m, r in results_of.items())
     minutes = (time.perf_counter() - start) / 60
     text = "\n".join(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
 import torch
@@ -12,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from partialbench import user_code
 from partialbench.benchmark import inputs
-from partialbench.benchmark.captures import captures, read_points
+from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
+from partialbench.benchmark.prediction import Prediction
 from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.benchmark.training import checkpoint
 from partialbench.benchmark.training.trunk import RunFolder, progress
@@ -22,36 +25,86 @@ from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
 
-__all__ = ["Answer", "Classifier", "captures", "draw", "find_checkpoint", "predict", "read_points"]
+__all__ = [
+    "Answer", "Classifier", "captures", "draw", "find_checkpoint", "load_model", "predict",
+    "read_points",
+]  # fmt: skip
 
 log = logging.getLogger(__name__)
 
 VOTES = 8
+BATCH = 64
+"""Clouds a model is given at once, or those of one capture where it has more votes."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Answer:
     """What a model says about one cloud.
 
     Attributes:
-        top: up to five (class name, probability), best first.
-        points_given, points_used: in the file, and seen by the model over all votes.
-        poses: up to five (R_camera_object (3,3), probability) over the 60 bins, best first; empty
-            for a model without pose. A bin is within 44.5° of every rotation it stands for.
+        class_names: of the K classes, by label.
+        probabilities: (K,) float64 over them, the mean over the votes.
+        pose_probabilities: (60,) float64 over the rotation bins (``geometry.bins``), or None for a
+            model without pose. A bin is within 44.5° of every rotation it stands for.
+        points_given, points_used: in the cloud, and seen by the model over all votes.
     """
 
-    top: list[tuple[str, float]]
+    class_names: tuple[str, ...]
+    probabilities: NDArray[np.float64]
+    pose_probabilities: NDArray[np.float64] | None
     points_given: int
     points_used: int
-    poses: list[tuple[NDArray[np.float64], float]]
+
+    @property
+    def top(self) -> list[tuple[str, float]]:
+        """Up to five (class name, probability), best first."""
+        return [
+            (self.class_names[i], float(self.probabilities[i])) for i in _best(self.probabilities)
+        ]
+
+    @property
+    def poses(self) -> list[tuple[NDArray[np.float64], float]]:
+        """Up to five (R_camera_object (3,3), probability), best first; empty without pose."""
+        if self.pose_probabilities is None:
+            return []
+        shares = self.pose_probabilities
+        return [(rotation_bins()[i], float(shares[i])) for i in _best(shares)]
 
     @property
     def class_name(self) -> str:
+        """The most probable class."""
         return self.top[0][0]
 
     @property
     def confidence(self) -> float:
+        """Its probability."""
         return self.top[0][1]
+
+    @property
+    def rotation(self) -> NDArray[np.float64] | None:
+        """R_camera_object (3,3) of the most probable bin, or None for a model without pose."""
+        return self.poses[0][0] if self.poses else None
+
+    def __repr__(self) -> str:
+        shares = ", ".join(f"{name} {share:.1%}" for name, share in self.top[:3])
+        return f"<Answer {shares}; {self.points_used:,} of {self.points_given:,} points>"
+
+
+def _best(shares: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Indices of up to five, the largest first; of equal ones the first."""
+    return np.argsort(-shares, kind="stable")[:5]
+
+
+def load_model(weights: Path | str, device: str = "auto", model: str | None = None) -> Classifier:
+    """A trained model, to be asked about clouds and files: see ``Classifier``.
+
+    ::
+
+        classifier = partialbench.load_model("results")   # a folder of eval's with one run
+        answer = classifier.predict(points)               # (N,3), camera frame
+        answer.class_name, answer.confidence, answer.rotation
+    """
+    return Classifier(weights, device, model)
 
 
 def predict(
@@ -68,7 +121,7 @@ def predict(
 
 
 class Classifier:
-    """A trained model, to be asked about files.
+    """A trained model, to be asked about clouds (``predict``) and files (called).
 
     A model is best on clouds of as many points as it was trained on. A denser capture is cut at
     random into clouds of that many, and their probabilities are averaged.
@@ -79,6 +132,11 @@ class Classifier:
         device: "cpu", "cuda", "cuda:1", or "auto".
         model: "module:factory" of a model of one's own: named here, never by the checkpoint.
 
+    Attributes:
+        path: of the checkpoint. content: what it holds.
+        name: of the model as it was found: registered, or your "module:factory".
+        model: the ``nn.Module``, in evaluation mode.
+
     Raises:
         InputError: no such device, or weights that make no model.
     """
@@ -87,9 +145,12 @@ class Classifier:
         kind, index = find_device(device)
         self.device = torch.device(kind if index is None else f"{kind}:{index}")
         path = find_checkpoint(Path(weights))
+        # What the user named: a checkpoint never names code to import.
         model = None if model is None else user_code.named(model)
+        self.path = path
         self.content = checkpoint.load(path)
         checkpoint.require_finished(self.content, path, "classify")
+        self.name = checkpoint.model_of(self.content, model)
         self.model = checkpoint.build_model(self.content, model).to(self.device)
         if inputs.needs_normals(self.model):
             raise InputError(
@@ -120,35 +181,109 @@ class Classifier:
             InputError: a file that cannot be read or is no shape, a depth image without K, no
                 votes, or a model that cannot answer.
         """
+        given = read_points(Path(file), K, depth_scale)
+        return self._answers([given], [str(file)], votes)[0]
+
+    @overload
+    def predict(self, points: Sequence[ArrayLike], votes: int = VOTES) -> list[Answer]: ...
+    @overload
+    def predict(self, points: Any, votes: int = VOTES) -> Answer | list[Answer]: ...
+    def predict(self, points: Any, votes: int = VOTES) -> Answer | list[Answer]:
+        """What the model says of clouds in memory.
+
+        Args:
+            points: one cloud (N,3), several of one size (B,N,3), or a list of clouds of any sizes:
+                arrays or tensors of any real dtype, in any unit, camera frame x right, y down, z
+                forward. Points that are not finite are left out. Clouds far from the origin are
+                moved in 64 bits before they are rounded to 32.
+            votes: at most so many clouds, without a point in common, are cut from a dense one.
+
+        Returns:
+            One ``Answer`` for (N,3); else a list with one for each cloud.
+
+        Raises:
+            InputError: as for a file. Which cloud it was is said.
+        """
+        if not isinstance(points, list | tuple):
+            dimensions = np.ndim(points)
+            if dimensions == 2:
+                return self._answers([given_points(points)], ["the cloud"], votes)[0]
+            if dimensions != 3:
+                raise InputError(
+                    f"expected (N,3), (B,N,3) or a list of clouds, got {dimensions} dimension(s)"
+                )
+        elif len(points) and np.ndim(points[0]) == 1:  # a cloud as nested lists
+            return self._answers([given_points(points)], ["the cloud"], votes)[0]
+        names = [f"cloud {i}" for i in range(len(points))]
+        clouds = [given_points(one, name) for one, name in zip(points, names, strict=True)]
+        return self._answers(clouds, names, votes)
+
+    def _answers(self, given: Sequence[NDArray], names: Sequence[str], votes: int) -> list[Answer]:
+        """An answer for each cloud (n,3) that ``captures.shaped`` let pass."""
         if votes < 1:
             raise InputError(f"votes must be at least 1, got {votes}")
-        given = read_points(Path(file), K, depth_scale)
-        count, names = self.content["num_points"], self.content["class_names"]
-        clouds = draw(given, count, min(votes, max(1, len(given) // count)))
+        count = self.content["num_points"]
+        answers: list[Answer] = []
+        start = 0
+        while start < len(given):
+            parts: list[NDArray] = []
+            while start + len(parts) < len(given) and sum(map(len, parts)) < BATCH:
+                cloud = given[start + len(parts)]
+                parts.append(draw(cloud, count, min(votes, max(1, len(cloud) // count))))
+            stop = start + len(parts)
+            prediction = self._prediction(np.concatenate(parts), names[start:stop])
+            answers += self._voted(prediction, parts, given[start:stop], names[start:stop])
+            start = stop
+        return answers
+
+    def _prediction(self, clouds: NDArray[np.float32], names: Sequence[str]) -> Prediction:
         try:
             # What a model draws or remembers is of no other file: the same file, the same answer.
             with unchanged(self.model), torch.inference_mode(), keyed_draws(device=self.device):
                 output = self.model(torch.from_numpy(clouds).to(self.device))
-            prediction = as_prediction(output, len(clouds), len(names))
+            return as_prediction(output, len(clouds), len(self.content["class_names"]))
         except Exception as error:  # whatever a model does not like about a cloud
+            which = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
             raise InputError(
-                f"{file}: the model cannot answer ({type(error).__name__}: {error})"
+                f"{which}: the model cannot answer ({type(error).__name__}: {error})"
             ) from error
-        shares = prediction.class_logits.double().softmax(1).mean(0)
-        if not bool(torch.isfinite(shares).all()):
-            raise InputError(
-                f"{file}: the model's answer is not a finite number; its weights, or this cloud, "
-                f"are not what it can work with"
+
+    def _voted(
+        self,
+        prediction: Prediction,
+        parts: Sequence[NDArray],
+        given: Sequence[NDArray],
+        names: Sequence[str],
+    ) -> list[Answer]:
+        """The mean of each cloud's votes."""
+        class_names = tuple(self.content["class_names"])
+        sizes = [len(part) for part in parts]
+        classes = prediction.class_logits.double().softmax(1).split(sizes)
+        poses = (
+            [None] * len(parts)
+            if prediction.pose_logits is None
+            else prediction.pose_logits.double().softmax(1).split(sizes)
+        )
+        answers = []
+        for shares, pose, part, cloud, name in zip(
+            classes, poses, parts, given, names, strict=True
+        ):
+            mean = shares.mean(0)
+            if not bool(torch.isfinite(mean).all()):
+                raise InputError(
+                    f"{name}: the model's answer is not a finite number; its weights, or this "
+                    f"cloud, are not what it can work with"
+                )
+            answers.append(
+                Answer(
+                    class_names,
+                    mean.cpu().numpy(),
+                    None if pose is None else pose.mean(0).cpu().numpy(),
+                    len(cloud),
+                    part.shape[0] * part.shape[1],
+                )
             )
-        values, order = shares.topk(min(5, len(names)))
-        top = [(names[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
-        poses = []
-        if prediction.pose_logits is not None:
-            values, order = prediction.pose_logits.double().softmax(1).mean(0).topk(5)
-            poses = [
-                (rotation_bins()[int(i)], float(v)) for v, i in zip(values, order, strict=True)
-            ]
-        return Answer(top, len(given), clouds.shape[0] * clouds.shape[1], poses)
+        return answers
 
 
 BRANCHES = "branch-*/checkpoint.pt"

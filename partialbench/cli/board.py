@@ -10,12 +10,12 @@ from typing import Annotated
 
 import typer
 
-from partialbench import registry
 from partialbench.benchmark import preflight
+from partialbench.cli.verbs import Verbs
 from partialbench.console import continued_by, stderr
 from partialbench.progress import counting_bar
 
-commands = typer.Typer()
+commands = Verbs("Tables")
 
 
 @commands.command(epilog="Example: `partialbench leaderboard --results results --out board`")
@@ -35,9 +35,11 @@ def leaderboard(
 ) -> None:
     """Make page and tables anew from the records."""
     preflight.check_output(out, "--out")
-    page, *_ = registry.load(registry.LEADERBOARD)(
-        results, out, check, tuple(data or ()), figures, counting_bar(stderr, "leaderboard")
-    )
+    from partialbench.benchmark.board import leaderboard as make
+
+    bar = counting_bar(stderr, "leaderboard")
+    board = make(results, check=check, data=tuple(data or ()), figures=figures, on_progress=bar)
+    page, *_ = board.save(out)
     print(page)
 
 
