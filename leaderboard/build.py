@@ -7,19 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from leaderboard import curves, given, latex, tables
-from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
 from leaderboard.comparison import compare
-from leaderboard.layouts import layouts
 from leaderboard.output import write_board
 from leaderboard.page import clouds, html
 from leaderboard.page.content import Found
-from leaderboard.poses import pose_layouts
-from leaderboard.settings import as_layout, losses, setting_families
-from leaderboard.transductive import transductive_layouts
-from leaderboard.tuning import tuning_layouts
+from leaderboard.tables import curves, given, latex
+from leaderboard.tables import text as tables
+from leaderboard.tables.agreement import rank_agreement
+from leaderboard.tables.layouts import layouts
+from leaderboard.tables.poses import pose_layouts
+from leaderboard.tables.settings import as_layout, losses, setting_families
+from leaderboard.tables.transductive import transductive_layouts
+from leaderboard.tables.transfer import transfer_layouts
+from leaderboard.tables.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
 from partialbench.errors import InputError
 
@@ -111,6 +113,7 @@ def board_files(
         *(as_layout(family, lost) for family, lost in settings),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *transfer_layouts(board, folder),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
@@ -128,7 +131,7 @@ def board_files(
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
     }
     if with_figures:
-        from leaderboard import figures  # Matplotlib takes its time to load
+        from leaderboard.figures import draw as figures  # Matplotlib takes its time to load
 
         contents |= figures.files(board, comparisons, families, given_poses, folder)
     steps.next()

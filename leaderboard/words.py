@@ -6,7 +6,7 @@ import math
 import re
 
 from leaderboard.board import Cell, Column, budget_title
-from leaderboard.plain import visible
+from leaderboard.tables.plain import visible
 from partialbench.benchmark.records.origin import clouds_before
 from partialbench.benchmark.records.results import Result, with_changes
 

@@ -21,14 +21,16 @@ POINTS = 1024
 CLOUDS_SEEN = 6_000
 
 
-def quickstart(out: Path, models: Sequence[str], workers: int, console: Console) -> str:
+def quickstart(
+    out: Path, models: Sequence[str], workers: int, console: Console
+) -> tuple[str, Path]:
     """Render, draw, train, test and tabulate into ``out``; a second call continues the first.
 
     Args:
         models: trained one after the other on the same clouds, a row each.
 
     Returns:
-        A few lines that say where everything is and what to do next.
+        A few lines that say where everything is and what to do next, and the leaderboard's page.
     """
     start = time.perf_counter()
     data, results, board = out / "pm40-parametric", out / "results", out / "leaderboard"
@@ -57,10 +59,10 @@ def quickstart(out: Path, models: Sequence[str], workers: int, console: Console)
             model, data, results=results, preset="board", clouds=[CLOUDS_SEEN]
         )
     step("4/4 writing the leaderboard")
-    leaderboard(results).save(board)
+    page, *_ = leaderboard(results, data=[data]).save(board)
     scores = ", ".join(f"{m} {r.scores['accuracy']:.1%}" for m, r in results_of.items())
     minutes = (time.perf_counter() - start) / 60
-    return "\n".join(
+    text = "\n".join(
         [
             "",
             f"Done in {minutes:.1f} minutes. Of {manifest.rows('test')} single views of unseen "
@@ -70,7 +72,7 @@ def quickstart(out: Path, models: Sequence[str], workers: int, console: Console)
             "",
             f"  the data       {data} (CARD.md says what is in it)",
             f"  what it shows  {out / 'gallery.png'}, {out / 'gallery.html'} to turn by hand",
-            f"  the table      {board / 'leaderboard.md'}",
+            f"  the page       {page}, with the clouds on which the models disagree",
             "",
             "Next:",
             f"  partialbench eval --model {models[-1]} --clouds 25k --data {data} "
@@ -79,3 +81,4 @@ def quickstart(out: Path, models: Sequence[str], workers: int, console: Console)
             "  partialbench render pm40 --source ModelNet40.zip --out data/pm40",
         ]
     )
+    return text, page

@@ -34,6 +34,8 @@ class Recipe:
         label_smoothing: ε, spread over all K classes (torch's sense) or, with
             ``smoothing_over_others``, over the K − 1 others (DGCNN's).
         clip_norm: global gradient norm, or None.
+        average: what is tested is the mean of the weights over a milestone's decay, and not those
+            at its end; only with "warm-up-stable-decay".
         notes: what the publication does that does not fit a field.
     """
 
@@ -48,6 +50,7 @@ class Recipe:
     label_smoothing: float = 0.0
     smoothing_over_others: bool = False
     clip_norm: float | None = None
+    average: bool = False
     notes: str = ""
 
 

@@ -4,7 +4,7 @@ const pose = key => row => (row.pose ? row.pose[key] : null);
 
 const COLUMNS = [
   { id: "rank", title: "rank", value: row => row.rank, best: "low", show: row => row.rank ?? "",
-    help: "1, and one more for each model that is better beyond doubt: a paired test over test objects and, where rows have several seeds, over seeds; Holm's correction over all pairs, 5 %. Equal ranks cannot be told apart." },
+    help: "1, and one more for each model that is better beyond doubt, or as the row above where that is more: a paired test over test objects and, where rows have several seeds, over seeds; Holm's correction over all pairs, 5 %. Equal ranks cannot be told apart." },
   { id: "model", title: "model", value: row => row.title.toLowerCase(), best: "low", text: true,
     help: "One row a model, as its card declares it; what was changed about a variant stands in brackets. Opens to its card, its command, its curves." },
   { id: "accuracy", title: "accuracy (%)", value: row => row.accuracy, best: "high",

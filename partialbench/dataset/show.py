@@ -103,6 +103,8 @@ def _png(data: ShardDataset, rows: NDArray[np.int64]) -> bytes:
 
 def _draw(axes: Axes, scene: Scene) -> None:
     """The scene from the side; the nearer the brighter, as on the page."""
+    from matplotlib.colors import to_rgba
+
     for cloud, size, colour, alpha in (
         (scene.whole, 1.5, "#55606c", 0.45), (scene.points, 3.0, "#1f5fa8", 1.0),
     ):  # fmt: skip
@@ -111,7 +113,8 @@ def _draw(axes: Axes, scene: Scene) -> None:
         placed = projected(cloud)
         far_first = placed[np.argsort(-placed[:, 2])]
         nearness = alpha * (0.75 - 0.25 * far_first[:, 2].clip(-1, 1))
-        axes.scatter(*far_first[:, :2].T, s=size, c=colour, alpha=nearness, lw=0)
+        colours = [to_rgba(colour, float(near)) for near in nearness]
+        axes.scatter(far_first[:, 0], far_first[:, 1], s=size, c=colours, lw=0)
     for direction, colour in zip(scene.axes, AXIS_COLOURS.values(), strict=True):
         tip = projected(0.8 * direction)
         axes.plot([0, tip[0]], [0, tip[1]], color=colour, lw=1.6)
@@ -213,7 +216,7 @@ def _data_url(colours: NDArray) -> str:
     from matplotlib import image
 
     buffer = io.BytesIO()
-    image.imsave(buffer, colours, format="png", metadata={"Software": None})
+    image.imsave(buffer, colours, format="png")
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 

@@ -108,7 +108,7 @@ def test_an_entry_may_change_the_protocol_and_is_then_another_training(tmp_path)
         (
             "points = 64",
             "protocol = {strech = 2}",
-            "line 18: .* no field 'strech'; did you mean st",
+            "line 18: .* no field 'strech'; did you mean",
         ),
         ("points = 64", "protocol = {stretch = 0.5}", "stretch must be 1 .none. or more, got 0.5"),
         ("--views 1", "--views '1", "line 7: render of .data.shapes.: No closing quotation"),

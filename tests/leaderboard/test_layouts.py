@@ -9,11 +9,17 @@ import subprocess
 
 import pytest
 
-from leaderboard import figures
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
 from leaderboard.comparison import compare
-from leaderboard.layouts import ABLATIONS, DEFAULT_DELTA_DEG, DEFAULT_VARIANT, GIVEN_POSE, layouts
+from leaderboard.figures import draw as figures
+from leaderboard.tables.layouts import (
+    ABLATIONS,
+    DEFAULT_DELTA_DEG,
+    DEFAULT_VARIANT,
+    GIVEN_POSE,
+    layouts,
+)
 from leaderboard.words import without_duplicates
 from papnet.model import VARIANTS, PAPNet
 from partialbench import registry

@@ -11,7 +11,7 @@ import pytest
 
 from leaderboard.build import build_leaderboard
 from leaderboard.output import LIST
-from leaderboard.plain import csv_cell, markdown, visible
+from leaderboard.tables.plain import csv_cell, markdown, visible
 from tests.leaderboard.records import CLASSES, add
 
 NAMES = ["$x_1$ and $y^2$", "a|b", "=1+1|cmd", "+x", "-y", "@z", "<img src=x onerror=alert(1)>",

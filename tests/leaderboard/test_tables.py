@@ -17,7 +17,7 @@ from leaderboard.board import Column, make_board, ranked
 from leaderboard.build import build_leaderboard
 from leaderboard.check import problems
 from leaderboard.comparison import compare
-from leaderboard.latex import escape
+from leaderboard.tables.latex import escape
 from leaderboard.words import engineering, model_input
 from partialbench.benchmark.protocol.protocol import protocol
 from partialbench.benchmark.records import results

@@ -62,6 +62,11 @@ def check(recipe: Recipe) -> None:
             f"epochs={recipe.epochs} does not go with the schedule {recipe.schedule!r}: "
             + ("the milestone says how long it is, see --clouds" if grown else "give their number")
         )
+    if recipe.average and not grown:
+        raise InputError(
+            f"average=True needs the schedule {GROWN!r}, over whose decay it is taken; the recipe "
+            f"has {recipe.schedule!r}"
+        )
     known = _OPTIONS[recipe.schedule] | (set() if grown else {"bn_momentum"})
     for option in recipe.schedule_options:
         if option not in known:

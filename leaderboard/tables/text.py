@@ -8,10 +8,10 @@ import math
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.curves import Family
-from leaderboard.given import GivenPoses
-from leaderboard.layouts import Layout
-from leaderboard.plain import csv_cell, markdown
+from leaderboard.tables.curves import Family
+from leaderboard.tables.given import GivenPoses
+from leaderboard.tables.layouts import Layout
+from leaderboard.tables.plain import csv_cell, markdown
 from leaderboard.words import (
     budget,
     crosses,
@@ -88,11 +88,15 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
                 line.append(reported(column, result))
             lines.append(line)
         parts += [*_as_lines(lines), ""]
-    for layout in layouts:
-        parts += [f"## {markdown(layout.title)}\n", markdown(layout.about) + "\n"]
-        parts += [*_as_lines([layout.head, *layout.rows]), ""]
+    parts += map(layout_as_markdown, layouts)
     parts.append(LEGEND)
     return "\n".join(parts)
+
+
+def layout_as_markdown(layout: Layout) -> str:
+    """One table under its title."""
+    head = [f"## {markdown(layout.title)}\n", markdown(layout.about) + "\n"]
+    return "\n".join([*head, *_as_lines([layout.head, *layout.rows]), ""])
 
 
 def _as_lines(rows: list[list[str]]) -> list[str]:

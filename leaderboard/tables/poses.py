@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import counted
-from leaderboard.layouts import Layout, noise_title
+from leaderboard.tables.layouts import Layout, noise_title
 from leaderboard.words import difference, interval, percent, row_title
 from partialbench.benchmark.records.predictions import Predictions
 from partialbench.benchmark.records.results import Result

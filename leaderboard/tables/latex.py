@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
-from leaderboard.layouts import Layout
+from leaderboard.tables.layouts import Layout
 from leaderboard.words import (
     describe,
     duplicates,

@@ -18,7 +18,7 @@ import numpy as np
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import share_correct
-from leaderboard.layouts import Layout
+from leaderboard.tables.layouts import Layout
 from leaderboard.words import interval, percent, row_title
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.uncertainty import bootstrap_intervals

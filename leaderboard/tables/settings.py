@@ -9,7 +9,7 @@ import numpy as np
 
 from leaderboard.board import Cell, Column, own_columns, ranked
 from leaderboard.comparison import share_correct
-from leaderboard.layouts import Layout
+from leaderboard.tables.layouts import Layout
 from leaderboard.words import difference, percent, row_title
 from partialbench.benchmark.testing.uncertainty import bootstrap_intervals, per_object
 

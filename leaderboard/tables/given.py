@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import share_correct
-from leaderboard.layouts import Layout
+from leaderboard.tables.layouts import Layout
 from leaderboard.words import difference, row_title
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.given_pose import PER_CLASS, RANDOM, delta_deg
@@ -104,7 +104,7 @@ def as_layout(given: GivenPoses) -> Layout:
         "noise from U(−δ, δ) on every Euler angle (± δ), or one at random; by class: as each "
         "class's own symmetry maps it, so that it cannot tell the class; in brackets the 95 % "
         "interval over test objects. Gain: of the true pose over the model's own, paired.",
-        ["model", *map(_heading, given.poses), "gain"],
+        ["model", *map(heading, given.poses), "gain"],
         rows,
     )
 
@@ -132,8 +132,9 @@ def _order(pose: str) -> tuple[int, float]:
     return (2 if pose.startswith(PER_CLASS) else 1), delta_deg(pose)
 
 
-def _heading(pose: str) -> str:
+def heading(pose: str) -> str:
+    """What a pose is called at the head of a column."""
     titles = {OWN: "own pose", TRUE: "true pose", RANDOM: "random pose"}
     if pose.startswith(PER_CLASS):
-        return f"{_heading(pose.removeprefix(PER_CLASS))}, by class"
+        return f"{heading(pose.removeprefix(PER_CLASS))}, by class"
     return titles.get(pose, f"± {pose}°")

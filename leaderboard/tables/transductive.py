@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from leaderboard.layouts import Layout
+from leaderboard.tables.layouts import Layout
 from leaderboard.words import percent, row_title
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.records.results import Result

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from scipy.stats import kendalltau, spearmanr
 
 from leaderboard.board import Column, own_columns
-from leaderboard.layouts import Layout
+from leaderboard.tables.layouts import Layout
 
 FEWEST_ROWS = 4
 """Of fewer rows an order says next to nothing."""

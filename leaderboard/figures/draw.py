@@ -15,10 +15,10 @@ from matplotlib.ticker import NullFormatter
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison, counted
-from leaderboard.curves import Family
-from leaderboard.given import OWN, PER_CLASS, RANDOM, GivenPoses
-from leaderboard.layouts import noise_title
-from leaderboard.settings import compared_rows, setting_families
+from leaderboard.tables.curves import Family
+from leaderboard.tables.given import OWN, PER_CLASS, RANDOM, GivenPoses
+from leaderboard.tables.layouts import noise_title
+from leaderboard.tables.settings import compared_rows, setting_families
 from leaderboard.words import engineering, paper_score, row_title
 from partialbench.benchmark.records import results
 from partialbench.benchmark.testing.metrics import (

@@ -7,9 +7,9 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
-from leaderboard.agreement import AGREEMENT, accuracies, agree
 from leaderboard.board import Column, own_columns
-from leaderboard.layouts import Layout
+from leaderboard.tables.agreement import AGREEMENT, accuracies, agree
+from leaderboard.tables.layouts import Layout
 from leaderboard.words import engineering, percent
 from partialbench.benchmark.records.results import Result, with_changes
 from partialbench.benchmark.records.trials import FILE, Trial, read_trials
