@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +16,6 @@ from partialbench.benchmark import inputs
 from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
-from partialbench.benchmark.prediction import Prediction
 from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.benchmark.training import checkpoint
 from partialbench.benchmark.training.trunk import RunFolder, progress
@@ -33,8 +31,6 @@ __all__ = [
 log = logging.getLogger(__name__)
 
 VOTES = 8
-BATCH = 64
-"""Clouds a model is given at once, or those of one capture where it has more votes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,15 +177,10 @@ class Classifier:
             InputError: a file that cannot be read or is no shape, a depth image without K, no
                 votes, or a model that cannot answer.
         """
-        given = read_points(Path(file), K, depth_scale)
-        return self._answers([given], [str(file)], votes)[0]
+        return self._answer(read_points(Path(file), K, depth_scale), str(file), votes)
 
-    @overload
-    def predict(self, points: Sequence[ArrayLike], votes: int = VOTES) -> list[Answer]: ...
-    @overload
-    def predict(self, points: Any, votes: int = VOTES) -> Answer | list[Answer]: ...
     def predict(self, points: Any, votes: int = VOTES) -> Answer | list[Answer]:
-        """What the model says of clouds in memory.
+        """What the model says of clouds in memory; of each what it says of that cloud alone.
 
         Args:
             points: one cloud (N,3), several of one size (B,N,3), or a list of clouds of any sizes:
@@ -204,86 +195,47 @@ class Classifier:
         Raises:
             InputError: as for a file. Which cloud it was is said.
         """
-        if not isinstance(points, list | tuple):
-            dimensions = np.ndim(points)
-            if dimensions == 2:
-                return self._answers([given_points(points)], ["the cloud"], votes)[0]
-            if dimensions != 3:
-                raise InputError(
-                    f"expected (N,3), (B,N,3) or a list of clouds, got {dimensions} dimension(s)"
-                )
-        elif len(points) and np.ndim(points[0]) == 1:  # a cloud as nested lists
-            return self._answers([given_points(points)], ["the cloud"], votes)[0]
+        several = isinstance(points, list | tuple)
+        dimensions = (1 + np.ndim(points[0]) if points else 3) if several else np.ndim(points)
+        if dimensions == 2:
+            return self._answer(given_points(points), "the cloud", votes)
+        if dimensions != 3:
+            raise InputError(
+                f"expected (N,3), (B,N,3) or a list of clouds, got {dimensions} dimension(s)"
+            )
         names = [f"cloud {i}" for i in range(len(points))]
         clouds = [given_points(one, name) for one, name in zip(points, names, strict=True)]
-        return self._answers(clouds, names, votes)
+        return [self._answer(one, name, votes) for one, name in zip(clouds, names, strict=True)]
 
-    def _answers(self, given: Sequence[NDArray], names: Sequence[str], votes: int) -> list[Answer]:
-        """An answer for each cloud (n,3) that ``captures.shaped`` let pass."""
+    def _answer(self, given: NDArray, name: str, votes: int) -> Answer:
+        """What the model says of points (n,3) that ``captures.shaped`` let pass."""
         if votes < 1:
             raise InputError(f"votes must be at least 1, got {votes}")
-        count = self.content["num_points"]
-        answers: list[Answer] = []
-        start = 0
-        while start < len(given):
-            parts: list[NDArray] = []
-            while start + len(parts) < len(given) and sum(map(len, parts)) < BATCH:
-                cloud = given[start + len(parts)]
-                parts.append(draw(cloud, count, min(votes, max(1, len(cloud) // count))))
-            stop = start + len(parts)
-            prediction = self._prediction(np.concatenate(parts), names[start:stop])
-            answers += self._voted(prediction, parts, given[start:stop], names[start:stop])
-            start = stop
-        return answers
-
-    def _prediction(self, clouds: NDArray[np.float32], names: Sequence[str]) -> Prediction:
+        count, class_names = self.content["num_points"], tuple(self.content["class_names"])
+        clouds = draw(given, count, min(votes, max(1, len(given) // count)))
         try:
-            # What a model draws or remembers is of no other file: the same file, the same answer.
+            # What a model draws or remembers is of no other cloud: the same cloud, the same answer.
             with unchanged(self.model), torch.inference_mode(), keyed_draws(device=self.device):
                 output = self.model(torch.from_numpy(clouds).to(self.device))
-            return as_prediction(output, len(clouds), len(self.content["class_names"]))
+            prediction = as_prediction(output, len(clouds), len(class_names))
         except Exception as error:  # whatever a model does not like about a cloud
-            which = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
             raise InputError(
-                f"{which}: the model cannot answer ({type(error).__name__}: {error})"
+                f"{name}: the model cannot answer ({type(error).__name__}: {error})"
             ) from error
-
-    def _voted(
-        self,
-        prediction: Prediction,
-        parts: Sequence[NDArray],
-        given: Sequence[NDArray],
-        names: Sequence[str],
-    ) -> list[Answer]:
-        """The mean of each cloud's votes."""
-        class_names = tuple(self.content["class_names"])
-        sizes = [len(part) for part in parts]
-        classes = prediction.class_logits.double().softmax(1).split(sizes)
-        poses = (
-            [None] * len(parts)
-            if prediction.pose_logits is None
-            else prediction.pose_logits.double().softmax(1).split(sizes)
-        )
-        answers = []
-        for shares, pose, part, cloud, name in zip(
-            classes, poses, parts, given, names, strict=True
-        ):
-            mean = shares.mean(0)
-            if not bool(torch.isfinite(mean).all()):
-                raise InputError(
-                    f"{name}: the model's answer is not a finite number; its weights, or this "
-                    f"cloud, are not what it can work with"
-                )
-            answers.append(
-                Answer(
-                    class_names,
-                    mean.cpu().numpy(),
-                    None if pose is None else pose.mean(0).cpu().numpy(),
-                    len(cloud),
-                    part.shape[0] * part.shape[1],
-                )
+        shares = prediction.class_logits.double().softmax(1).mean(0)
+        if not bool(torch.isfinite(shares).all()):
+            raise InputError(
+                f"{name}: the model's answer is not a finite number; its weights, or this cloud, "
+                f"are not what it can work with"
             )
-        return answers
+        poses = prediction.pose_logits
+        return Answer(
+            class_names,
+            shares.cpu().numpy(),
+            None if poses is None else poses.double().softmax(1).mean(0).cpu().numpy(),
+            len(given),
+            clouds.shape[0] * clouds.shape[1],
+        )
 
 
 BRANCHES = "branch-*/checkpoint.pt"

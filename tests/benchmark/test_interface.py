@@ -52,14 +52,12 @@ def test_a_cloud_in_memory_is_answered_as_its_file(weights, tmp_path, rng):
     assert classifier.predict([]) == []
 
 
-def test_more_clouds_than_a_batch_keep_their_order(weights, monkeypatch, rng):
-    monkeypatch.setattr("partialbench.benchmark.predict.BATCH", 3)
+def test_each_of_several_clouds_is_answered_as_if_alone(weights, rng):
     clouds = [rng.standard_normal((n, 3)) for n in (64, 200, 64, 300, 64)]
     classifier = load_model(weights, "cpu")
     for one, answer in zip(clouds, classifier.predict(clouds), strict=True):
-        alone = classifier.predict(one)
         assert answer.points_given == len(one)
-        assert np.allclose(answer.probabilities, alone.probabilities, atol=1e-6)
+        assert np.array_equal(answer.probabilities, classifier.predict(one).probabilities)
 
 
 def test_a_cloud_far_from_the_origin_is_moved_before_it_is_rounded(weights):
