@@ -18,6 +18,7 @@ from partialbench.benchmark.campaign.file import load
 from partialbench.benchmark.campaign.jobs import FAILURES, all_jobs, from_dict
 from partialbench.benchmark.campaign.status import status
 from partialbench.benchmark.records import results
+from partialbench.benchmark.records.trials import FILE, read_trials
 from partialbench.benchmark.training.train import DivergedError
 from partialbench.dataset.lock import sole_user
 from partialbench.errors import InputError, PartialbenchError, TimeLimitError
@@ -135,6 +136,17 @@ def test_a_diverged_training_is_recorded_and_the_rest_goes_on(
     monkeypatch.setattr(worker, "_work", train)
     assert len(running.run(campaign, jobs=1, retry_failed=True).done) == 5
     assert not (campaign.results / FAILURES).exists()
+
+
+def test_a_trial_that_diverges_is_done(campaign, in_this_process):
+    text = campaign.path.read_text().replace("{lr = 0.01}", "{lr = 0.01}, {lr = 1e30}")
+    campaign.path.write_text(text.replace("Bare\"\ndata = \"toy\"\nclouds = 64",
+                                          "Bare\"\ndata = \"toy\"\nclouds = 640"))  # fmt: skip
+    after = running.run(load(campaign.path), jobs=1, only=["*Bare"])
+    assert [job.recipe for job in after.done if job.kind == "tune"] == [
+        '{"lr": 0.01}', '{"lr": 1e+30}'
+    ]  # fmt: skip
+    assert sorted(trial.diverged for trial in read_trials(campaign.results / FILE)) == [False, True]
 
 
 def test_time_that_is_over_ends_it_with_75_and_keeps_what_is_done(campaign, in_this_process):

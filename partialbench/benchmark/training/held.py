@@ -93,7 +93,7 @@ def _is_alive(holder: dict[str, object]) -> bool:
 def _held(folder: Path, holder: dict[str, object]) -> HeldError:
     who = f"process {holder['pid']} on {holder.get('host')}" if "pid" in holder else "a process"
     return HeldError(
-        f"{folder} is being worked on by {who}: wait for it and run the same command with "
-        f"--resume, or choose another --results folder or other seeds. If that host is gone, "
+        f"{folder} is being worked on by {who}: wait for it and run the same command, "
+        f"or choose another --results folder or other seeds. If that host is gone, "
         f"delete {folder / LOCK}"
     )
