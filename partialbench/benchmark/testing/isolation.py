@@ -111,7 +111,7 @@ class State:
                     held[name] = own
         # Copies again: what is put back may be changed again.
         for prefix, attributes in self._copied(self.attributes).items():
-            has = vars(self.modules[prefix])
+            has = self.modules[prefix].__dict__
             has.update(attributes)
             for name in has.keys() - attributes.keys() - _TORCHS_OWN:
                 del has[name]
