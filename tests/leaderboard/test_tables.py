@@ -220,8 +220,9 @@ def test_everything_wrong_is_reported_at_once(made_up_models, folder):
     assert "record the same run" in found
     assert "give another accuracy than the record says" in found
     assert "belongs to no record" in found
-    assert len(found.splitlines()) == 5
-    with pytest.raises(InputError, match=r"5 thing\(s\) wrong"):
+    assert f"again_{paths[2].name} is the record of another run than its name says" in found
+    assert len(found.splitlines()) == 6
+    with pytest.raises(InputError, match=r"6 thing\(s\) wrong"):
         build_leaderboard(folder, folder / "out", check=True)
     assert not (folder / "out").exists()
 
