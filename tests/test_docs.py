@@ -102,6 +102,17 @@ def test_every_page_is_in_the_navigation():
     assert pages == set(listed)
 
 
+def test_links_of_the_site_stay_on_it():
+    """The site has nothing but docs/; a file elsewhere is named, not linked."""
+    docs = ROOT / "docs"
+    for page in docs.rglob("*.md"):
+        for target in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text()):
+            if not target.startswith(("http:", "https:")):
+                place = (page.parent / target).resolve()
+                assert place.is_file(), f"{page.name}: {target}"
+                assert place.is_relative_to(docs), f"{page.name}: {target}"
+
+
 @pytest.mark.slow
 def test_every_block_of_python_runs(tmp_path, monkeypatch):
     """In one folder, one page after the other; each page by itself in an interpreter of its own."""

@@ -145,8 +145,15 @@ def test_an_interrupted_export_is_seen_and_goes_on_where_it_stopped(folder, tmp_
 def test_what_cannot_be_exported_is_said(folder, exported, tmp_path):
     with pytest.raises(InputError, match="no export to 'parket'; did you mean parquet"):
         export(folder, "parket", tmp_path / "out")
-    with pytest.raises(ConfigurationMismatchError, match="is an export of toy to parquet"):
+    with pytest.raises(
+        ConfigurationMismatchError, match=r"is an export of toy \(train .* to parquet"
+    ):
         export(folder, "webdataset", exported)
+    build(plan(tmp_path / "cut", rows_per_shard=9), InlineExecutor)
+    build(plan(tmp_path / "whole", rows_per_shard=99), InlineExecutor)
+    export(tmp_path / "cut", "parquet", tmp_path / "rows")
+    with pytest.raises(ConfigurationMismatchError, match="configuration"):
+        export(tmp_path / "whole", "parquet", tmp_path / "rows")
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.tex").write_text("")
     with pytest.raises(PartialbenchError, match="not empty and no export"):

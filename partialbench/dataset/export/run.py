@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -142,7 +142,11 @@ def _origin(folder: Path, source: str | None, needs_source: bool) -> Origin:
 
 
 def _begin_or_continue(out: Path, to: str, manifest: manifests.Manifest) -> dict[str, Any]:
-    of = {"dataset_id": manifest.dataset_id, "digests": manifest.digests}
+    # The configuration too: by it rows are cut into shards, and have images and normals or not.
+    of = {
+        "dataset_id": manifest.dataset_id, "digests": manifest.digests,
+        "configuration_digest": manifest.configuration_digest,
+    }  # fmt: skip
     wanted = {
         "format": FORMAT, "format_version": VERSION, "to": to, "of": of, "state": "unfinished",
         "parts": [], "files": {},
@@ -159,9 +163,8 @@ def _begin_or_continue(out: Path, to: str, manifest: manifests.Manifest) -> dict
     state = _load(out)
     if (state["to"], state["of"]) != (to, of):
         raise ConfigurationMismatchError(
-            f"{out} is an export of {state['of'].get('dataset_id')} to {state['to']} (digests "
-            f"{state['of'].get('digests')}), asked for {manifest.dataset_id} to {to} "
-            f"({manifest.digests}); choose another --out"
+            f"{out} is an export of {_short(state['of'])} to {state['to']}, asked for "
+            f"{_short(of)} to {to}; choose another --out"
         )
     for leftover in out.rglob(f".*{TEMPORARY_SUFFIX}"):
         shutil.rmtree(leftover) if leftover.is_dir() else leftover.unlink()
@@ -169,6 +172,13 @@ def _begin_or_continue(out: Path, to: str, manifest: manifests.Manifest) -> dict
     state["state"] = "unfinished"
     _save(out, state)
     return state
+
+
+def _short(of: Mapping[str, Any]) -> str:
+    """ "pm40 (train 0123abcd, test …; configuration …)", digests by their first digits."""
+    digests = ", ".join(f"{split} {digest[:8]}" for split, digest in of["digests"].items())
+    configuration = str(of.get("configuration_digest"))[:8]
+    return f"{of.get('dataset_id')} ({digests}; configuration {configuration})"
 
 
 def _load(out: Path) -> dict[str, Any]:
