@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leaderboard import curves, figures, gallery, given, latex, page, tables
+from leaderboard import curves, damages, figures, gallery, given, latex, page, tables
 from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
@@ -63,8 +63,8 @@ def build_leaderboard(
     if not board:
         raise InputError(
             f"{folder} holds only tests under other conditions than trained on (fewer points, "
-            f"another sensor, a given pose), which need their model's own test beside them, with "
-            f"--data, or models whose answers depend on a test cloud's batch-mates"
+            f"another sensor, a given pose, damage), which need their model's own test beside "
+            f"them, with --data, or models whose answers depend on a test cloud's batch-mates"
         )
     comparisons = [compare(column, folder) for column in board]
     families = curves.find_families(board, records, folder)
@@ -80,6 +80,7 @@ def build_leaderboard(
         *setting_layouts(board, folder),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
+        *map(damages.as_layout, damages.find_damages(board, records, folder)),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),

@@ -17,7 +17,7 @@ from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.testing import given_pose, metrics
+from partialbench.benchmark.testing import damage, given_pose, metrics
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
 
@@ -54,6 +54,14 @@ def own_faults(result: Result) -> Iterator[str]:
             given_pose.parse(result.given_pose)
         except InputError as error:
             yield str(error)
+    if result.damage:
+        try:
+            named = damage.parse(result.damage)
+        except InputError as error:
+            yield str(error)
+        else:
+            if named != (result.damage,):
+                yield f"{result.damage!r} is not one damage of one strength"
     unnamed = [name for name in result.options if f"{name}=" not in result.variant]
     if unnamed:
         yield f"its row does not name the option(s) {', '.join(unnamed)} it was made with"

@@ -23,7 +23,7 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET, Protocol
 from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
 from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.testing import given_pose
+from partialbench.benchmark.testing import damage, given_pose
 from partialbench.benchmark.testing import run as testing
 from partialbench.benchmark.training import checkpoint, dry_run, finetune
 from partialbench.benchmark.training.held import hold
@@ -58,6 +58,7 @@ def run_eval(
     checkpoint_every: int | None = None,
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
+    test_damages: Sequence[str] = (),
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -92,6 +93,7 @@ def run_eval(
         test_points: test on clouds of so many points too, beside the number trained on.
         test_poses: test with the pose given too, see ``given_pose.parse``: "0" or 0 for the true
             one, "15" with noise, "random". Only for a model that takes one.
+        test_damages: test on damaged clouds too, see ``damage.parse``: "jitter:3", "all".
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
             weights do not depend on, such as PAPNet's ``k``.
@@ -112,6 +114,7 @@ def run_eval(
     )  # fmt: skip
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
+    damages = damage.parse(test_damages)
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
@@ -129,8 +132,8 @@ def run_eval(
                 f"effect; leave it out, or train without --checkpoint"
             )
         return _test_checkpoint(
-            model, Path(checkpoint_file), folders, preset, test_points, poses, options or {},
-            fabric, results_folder,
+            model, Path(checkpoint_file), folders, preset, test_points, poses, damages,
+            options or {}, fabric, results_folder,
         )  # fmt: skip
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
@@ -166,7 +169,7 @@ def run_eval(
     for task in tasks:
         for goal in goals:  # before anything is trained or deleted
             milestones.plan(followed, used, goal, len(task.train_rows))
-    dry_run.try_out(tasks[0], fabric, test_sets, poses)
+    dry_run.try_out(tasks[0], fabric, test_sets, poses, damages)
     if restart and fabric.is_global_zero:
         for task in tasks:
             with hold(runs_folder / run_folder(task)):
@@ -182,7 +185,7 @@ def run_eval(
                 if fabric.is_global_zero:
                     content = checkpoint.load(RunFolder(folder).branch(goal))
                     written += testing.run_tests(
-                        content, trained.model, test_sets, poses, fabric, results_folder
+                        content, trained.model, test_sets, poses, fabric, results_folder, damages
                     )
             fabric.barrier()
     return written
@@ -250,6 +253,7 @@ def _test_checkpoint(
     preset: str,
     test_points: Sequence[int],
     test_poses: Sequence[str],
+    test_damages: Sequence[str],
     options: Mapping[str, Any],
     fabric: Fabric,
     results_folder: Path,
@@ -283,7 +287,9 @@ def _test_checkpoint(
         testing.try_given_pose(model_name, model, test_sets[0], test_poses[0], classes)
     written = []
     if fabric.is_global_zero:
-        written = testing.run_tests(content, model, test_sets, test_poses, fabric, results_folder)
+        written = testing.run_tests(
+            content, model, test_sets, test_poses, fabric, results_folder, test_damages
+        )
     fabric.barrier()
     return written
 

@@ -99,6 +99,13 @@ def evaluate(
             "on every Euler angle, random (repeatable)"
         ),
     ] = None,
+    test_damage: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="test on damaged clouds too: jitter:3, a name alone for its five strengths, or "
+            "all (repeatable; docs/damage.md has the names)"
+        ),
+    ] = None,
     recipe: Annotated[list[str] | None, typer.Option(help="change the recipe: lr=0.01")] = None,
     option: Annotated[
         list[str] | None,
@@ -124,7 +131,8 @@ def evaluate(
             clouds=_clouds(clouds), restart=restart, first_seed=first_seed,
             start_from=start_from, precision=precision,
             checkpoint_every=checkpoint_every, test_points=test_points or (),
-            test_poses=test_pose or (), recipe=arguments.pairs(recipe),
+            test_poses=test_pose or (), test_damages=test_damage or (),
+            recipe=arguments.pairs(recipe),
             options=arguments.texts(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
     if as_json:

@@ -19,6 +19,7 @@
     seeds = 3                      # how many from 0, or a list
     test = ["clouds"]              # other data sets to test on as well
     points = [64]                  # tests on fewer points; poses = ["0", "15"]: with the pose given
+    damages = ["all"]              # tests on damaged clouds; ["jitter:3"]
     options = {grid = 16}          # of the model; recipe = {lr = 0.002}; precision = "bf16-mixed"
 
     [[tune]]
@@ -45,13 +46,14 @@ from partialbench import registry
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.testing import damage
 from partialbench.errors import InputError
 from partialbench.registry import ModelCard, close_matches
 
 TOP = ("results", "work", "board", "preset", "data", "train", "tune")
 DATA = ("render", "digests", "made_by")
 COMMON = ("models", "data", "clouds", "options", "recipe", "precision")
-TRAIN = (*COMMON, "seeds", "test", "points", "poses")
+TRAIN = (*COMMON, "seeds", "test", "points", "poses", "damages")
 TUNE = (*COMMON, "tries", "seed")
 
 
@@ -98,6 +100,7 @@ class Entry:
     points: tuple[int, ...] = ()
     poses: tuple[str, ...] = ()
     tries: tuple[Mapping[str, Any], ...] = ()
+    damages: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -239,10 +242,17 @@ class _Reader:
             self.several(fields.get("points", []), int, "points"),
             tuple(map(str, self.several(fields.get("poses", []), object, "poses"))),
             tuple(self.tables(fields.get("tries", []), "tries")),
+            self.damages(fields),
         )
         if not found.seeds or min(found.seeds) < 0:
             raise self.wrong("seeds", f"seeds must be one or more, from 0 on; got {seeds!r}")
         return found
+
+    def damages(self, fields: Mapping[str, Any]) -> tuple[str, ...]:
+        try:
+            return damage.parse(self.several(fields.get("damages", []), str, "damages"))
+        except InputError as error:
+            raise self.wrong("damages", str(error)) from error
 
     def known(self, fields: Mapping[str, Any], names: Sequence[str], where: str) -> None:
         for name in fields:

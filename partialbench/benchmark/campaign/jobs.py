@@ -32,12 +32,13 @@ FAILURES = "failures.jsonl"
 
 @dataclass(frozen=True)
 class Condition:
-    """On what a milestone is tested: the data set's name, points of a cloud (None: as trained), and
-    the pose that is given ("" for none)."""
+    """On what a milestone is tested: the data set's name, points of a cloud (None: as trained), the
+    pose that is given and the damage done ("" for none)."""
 
     data: str
     points: int | None = None
     pose: str = ""
+    damage: str = ""
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,7 @@ def _tests(entry: Entry, data: str) -> tuple[Condition, ...]:
         *own,
         *(Condition(test.data, points) for test in own for points in entry.points),
         *(Condition(test.data, None, pose) for test in own for pose in entry.poses),
+        *(Condition(test.data, None, "", name) for test in own for name in entry.damages),
     )
 
 
@@ -211,7 +213,7 @@ class Ledger:
                 result.model, _json(result.options), _json(result.recipe),
                 result.training["environment"]["precision"], result.seed, result.clouds,
                 result.protocol_digest, result.train_data.digest, test.digest,
-                test.points, result.given_pose,
+                test.points, result.given_pose, result.damage,
             )
         )  # fmt: skip
         speed = result.training["clouds_per_second"]
@@ -221,7 +223,7 @@ class Ledger:
         return (
             job.model, job.options, self.recipe_of(job), job.precision, job.seed, job.clouds,
             self._protocol.digest, train, self.digests[test.data].get("test"),
-            test.points or self._protocol.num_points, test.pose,
+            test.points or self._protocol.num_points, test.pose, test.damage,
         )  # fmt: skip
 
     def _trial(self, job: Job, train: str) -> tuple[object, ...]:

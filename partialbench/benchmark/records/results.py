@@ -32,6 +32,8 @@ PREDICTIONS_SUFFIX = ".predictions.npz"
 INDEPENDENT = 1e-3
 """How far a company audit's logits may move, as a share of their size, for an answer to be a
 cloud's own: rounding moves them by less, another batch-mate by more."""
+LATER = {"damage"}
+"""Fields that records written before there was such a thing have not, and mean their default."""
 LONGEST_ROW = 80
 """Characters of a row's name in a file name; the digest at its end tells the rest apart."""
 
@@ -92,6 +94,7 @@ class Result:
         train_data, test_data: see ``DataRecord``.
         given_pose: what the model was told of each test cloud's pose, see ``given_pose.parse``; ""
             for nothing, as ever but for such a test.
+        damage: what was done to the test clouds, see ``damage.parse``; "" for nothing.
         clouds: the milestone it was trained to; ``training["clouds_seen"]`` is the exact number.
         training: see ``train.Trained.summary``.
         weights_sha256: of the tensors that were tested.
@@ -127,6 +130,7 @@ class Result:
     predictions_file: str
     predictions_sha256: str
     scores: dict[str, Any]
+    damage: str = ""
 
     @property
     def row(self) -> str:
@@ -138,8 +142,8 @@ class Result:
         """In what the test was made to differ from the training; mostly in nothing.
 
         "points": of a cloud. "sensor": what distorted the clouds, on the data set trained on.
-        "pose": what was told of theirs. "scored": "transductively", where the answer for a cloud
-        hangs on the clouds scored beside it.
+        "pose": what was told of theirs. "damage": what was done to them. "scored":
+        "transductively", where the answer for a cloud hangs on the clouds scored beside it.
         """
         train, test = self.train_data, self.test_data
         found = {}
@@ -149,6 +153,8 @@ class Result:
             found["sensor"] = test.sensor or "ideal"
         if self.given_pose:
             found["pose"] = self.given_pose
+        if self.damage:
+            found["damage"] = self.damage
         if self.company_audit["drift"] > INDEPENDENT:
             found["scored"] = "transductively"
         return found
@@ -233,9 +239,10 @@ def read(path: Path) -> Result:
         )
     names = {f.name for f in fields(Result)}
     present = set(record) - {"format", "format_version", "record_sha256"}
-    if present != names:
+    if present | LATER != names:
         raise InputError(
-            f"{path}: missing fields {sorted(names - present)}, unknown {sorted(present - names)}"
+            f"{path}: missing fields {sorted(names - present - LATER)}, unknown "
+            f"{sorted(present - names)}"
         )
     if record.get("record_sha256") != record_digest(record):
         raise InputError(
@@ -245,7 +252,7 @@ def read(path: Path) -> Result:
     fault = schema.record_fault(record)
     if fault:
         raise InputError(f"{path}: an entry is not what it should be: {fault}")
-    values = {name: record[name] for name in names}
+    values = {name: record[name] for name in names & present}
     values["card"] = cards.load(path.parent, record["card"])
     train = record["train_data"]
     classes = record["test_data"]["class_names"] or train["class_names"]

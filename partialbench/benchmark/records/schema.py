@@ -192,6 +192,7 @@ class RecordFile(TypedDict):
     seed: int
     clouds: Positive
     given_pose: str
+    damage: NotRequired[str]
     model_code: Code
     weights_sha256: Digest
     training: Training
