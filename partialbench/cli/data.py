@@ -14,6 +14,7 @@ import typer
 
 from partialbench import arguments, registry
 from partialbench.console import Json, continued_by, given, print_result, stderr
+from partialbench.dataset.settings import SETTINGS
 from partialbench.errors import PartialbenchError
 
 commands = typer.Typer()
@@ -24,10 +25,7 @@ class DataSet(StrEnum):
     ps15 = "ps15"
 
 
-class Setting(StrEnum):
-    partial = "partial"
-    rotated = "rotated"
-    aligned = "aligned"
+Setting = StrEnum("Setting", {name: name for name in SETTINGS})  # type: ignore[misc]
 
 
 @commands.command(
@@ -46,8 +44,12 @@ def render(
         ),
     ] = None,
     setting: Annotated[
-        Setting, typer.Option(help="partial views, or complete clouds")
-    ] = Setting.partial,
+        Setting,
+        typer.Option(
+            help="partial views, the same turned about z or aligned, or complete clouds rotated, "
+            "turned about z or aligned"
+        ),
+    ] = Setting("partial"),
     views: Annotated[int | None, typer.Option(help="viewpoints per training object [10]")] = None,
     objects_per_class: Annotated[
         int | None, typer.Option(help="at most so many of each class in each split")

@@ -115,7 +115,7 @@ class Source(Protocol):
     A source may also have ``poses(shape, rngs) -> list[(R_camera_object, t_camera_object)]``, one
     pose per generator: scanned scenes choose viewpoints where a person could stand. Without it the
     builder draws the paper's poses (``geometry.camera.sample_pose``), as it does for every source
-    in the setting "rotated". It may have ``listing``, a sentence on how its files were understood,
+    for complete clouds. It may have ``listing``, a sentence on how its files were understood,
     and ``pose``: "none" where nobody knows the poses of its objects.
 
     Attributes:

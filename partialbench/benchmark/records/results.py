@@ -43,7 +43,7 @@ class DataRecord:
     """One split of one data folder as a record names it.
 
     Attributes:
-        id: "pm40-parametric" and the like. setting: "partial", "rotated" or "aligned".
+        id: "pm40-parametric" and the like. setting: of ``dataset.settings``.
         digest: of the split's content.
         clouds, objects: how many of it were used.
         points: of a cloud.
