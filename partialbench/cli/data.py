@@ -74,6 +74,13 @@ def render(
             "scanned with kinect-v1]"
         ),
     ] = None,
+    occluders: Annotated[
+        float,
+        typer.Option(
+            help="put other objects of the source before each, to hide about this share of its "
+            "image: 0 to 0.9"
+        ),
+    ] = 0.0,
     keep_depth: Annotated[bool, typer.Option(help="store the depth images too")] = False,
     normals: Annotated[
         bool, typer.Option("--normals", help="store the points' surface normals too")
@@ -157,7 +164,7 @@ def render(
         ),
         occluder_options=given(
             resolution=resolution, camera=camera and arguments.camera(camera), variant=variant,
-            keep_depth=keep_depth or None, radius=radius, gamma=gamma,
+            occluders=occluders or None, keep_depth=keep_depth or None, radius=radius, gamma=gamma,
         ),
         sensor=sensor,
         workers=workers,

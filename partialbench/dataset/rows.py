@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.names import printable
 from partialbench.dataset.objects import stored_id
+from partialbench.dataset.others import Others, draw_others
 from partialbench.dataset.schema import FIELDS
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.settings import SETTINGS
@@ -117,7 +118,10 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
     images: list[bytes] = []
     failures = []
     image_shape = (0, 0)
-    for v, view in enumerate(_views(job, shape, key, views)):
+    others: list[Any] = []
+    if getattr(job.occluder, "occluders", 0):
+        others = draw_others(job.source, ref, generator(job.seed, *key, "others"))
+    for v, view in enumerate(_views(job, shape, key, views, others)):
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
@@ -139,7 +143,7 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
 
 
 def _views(
-    job: Job, shape: Any, key: tuple[str, str, str], count: int
+    job: Job, shape: Any, key: tuple[str, str, str], count: int, others: list[Any]
 ) -> list[View | RejectedView]:
     """An object's views; one that a rule turns away is drawn again, if the occluder allows it.
 
@@ -156,7 +160,11 @@ def _views(
         keys = [(*key, v, *again) for v in missing]
         poses = _poses(job, shape, keys)
         rngs = [generator(job.seed, *k, "occluder") for k in keys]
-        for v, view in zip(missing, job.occluder.views(shape, poses, rngs), strict=True):
+        before = {}
+        if others:
+            before["others"] = Others(others, [generator(job.seed, *k, "occluders") for k in keys])
+        seen = job.occluder.views(shape, poses, rngs, **before)
+        for v, view in zip(missing, seen, strict=True):
             views[v : v + 1] = [_with_enough_points(view, job.min_visible)]
         missing = [v for v, view in enumerate(views) if isinstance(view, RejectedView)]
         if not missing:
@@ -247,6 +255,8 @@ def _row(view: View, chosen: NDArray, label: int, object_id: bytes, index: int,
                 f"the occluder gave {len(view.normals)} normals for {len(view.points)} points"
             )
         row["normals"] = view.normals[chosen]
+    if view.occluded_fraction is not None:
+        row["occluded_fraction"] = view.occluded_fraction
     return row
 
 
