@@ -25,6 +25,7 @@ from partialbench.geometry.camera import Camera, fit_ball
 from renderers import occlusion
 from renderers.normals import face_normals, towards_camera
 from renderers.sensors import make_sensor
+from renderers.stereo import Stereo, require_opencv
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
 
@@ -86,11 +87,18 @@ class MitsubaOccluder:
             raise InputError(
                 f"occluders must hide a share of 0 to {MOST_OCCLUDED}, got {self.occluders!r}"
             )
-        make_sensor(self.sensor)  # raises for an unknown name or strength
+        if isinstance(make_sensor(self.sensor), Stereo):  # raises for an unknown name or strength
+            require_opencv()
 
     def settle(self) -> str:
         """The Mitsuba variant in use; ``InputError`` when the one asked for does not work here."""
         self.variant = pick_variant(self.variant)
+        if self.variant.startswith("scalar") and isinstance(make_sensor(self.sensor), Stereo):
+            raise InputError(
+                f"the sensor {self.sensor!r} renders images, for which the Mitsuba variant "
+                f"{self.variant} is too slow; it needs llvm_ad_rgb or cuda_ad_rgb "
+                f"('partialbench doctor' says what those need)"
+            )
         return self.variant
 
     def describe(self) -> dict[str, Any]:
@@ -150,28 +158,29 @@ class MitsubaOccluder:
         activate(variant, self.threads)
         make_tracer = _ScalarTracer if variant.startswith("scalar") else _Tracer
         tracer = make_tracer(vertices, faces)
-        pool: list[_Tracer | _ScalarTracer] = []
+        meshes: list[tuple[NDArray[np.float32], NDArray[np.uint32]]] = []
         if self.occluders:
             if others is None or not others.shapes:
                 raise InputError(
                     f"occluders={self.occluders:g} needs others to put before an object"
                 )
-            pool = [make_tracer(*_arrays(other)) for other in others.shapes]
+            meshes = [_arrays(other) for other in others.shapes]
+        pool = [make_tracer(*mesh) for mesh in meshes]
         seen = self._seen(tracer, samples, R, t, cameras)
         images = tracer.images(R, t, cameras, self.normals)
         normals = face_normals(vertices, faces) if self.normals else None
         sensor = None if self.sensor == "ideal" else make_sensor(self.sensor)
         views: list[View | RejectedView] = []
         for k, (depth, hit) in enumerate(images):
-            hidden = None
+            hidden, before = None, []
             if pool and others is not None and depth.any():
-                before = occlusion.arrange(
+                arranged = occlusion.arrange(
                     depth, cameras[k], t[k], self.occluders, pool, others.rngs[k]
                 )
-                if before is None:
+                if arranged is None:
                     views.append(RejectedView(occlusion.NO_ROOM))
                     continue
-                shown = depth
+                before, shown = arranged, depth
                 depth, own = occlusion.composite(before, pool, shown, cameras[k])
                 hidden = 1 - float(own.sum()) / float((shown > 0).sum())
                 if not own.any():
@@ -179,7 +188,11 @@ class MitsubaOccluder:
                     continue
                 lines = sight_lines(samples, -R[k].T @ t[k])
                 seen[k] &= occlusion.unhidden(before, pool, R[k], t[k], *lines)
-            if sensor:
+            if isinstance(sensor, Stereo):
+                parts = [((vertices @ R[k].T + t[k]).astype(np.float32), faces)]
+                parts += [occlusion.placed(each, *meshes[each.shape]) for each in before]
+                depth = sensor.capture(parts, depth, cameras[k].K, t[k], rngs[k])
+            elif sensor:
                 depth = sensor.apply(depth, cameras[k].K, rngs[k])
             if hidden is not None:
                 depth = np.where(own, depth, np.float32(0))

@@ -157,6 +157,14 @@ def unhidden(
     return clear
 
 
+def placed(
+    obstacle: Obstacle, vertices: NDArray[np.float32], faces: NDArray[np.uint32]
+) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """An obstacle's mesh where it stands, camera frame."""
+    turned = obstacle.size * portable.product(vertices, obstacle.R.T) + obstacle.t
+    return turned.astype(np.float32), faces
+
+
 def _scaled(obstacle: Obstacle) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(3,3) and (3,) for a tracer of the mesh at its own size.
 

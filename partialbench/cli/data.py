@@ -70,8 +70,8 @@ def render(
     sensor: Annotated[
         str | None,
         typer.Option(
-            help="depth noise: ideal, kinect-v1 or tof, with :STRENGTH [ideal; rooms are "
-            "scanned with kinect-v1]"
+            help="ideal; depth noise of kinect-v1 or tof; or rendered active stereo, stereo-d415 or "
+            "stereo-kinect-v1; with :STRENGTH [ideal; rooms are scanned with kinect-v1]"
         ),
     ] = None,
     occluders: Annotated[
