@@ -25,20 +25,24 @@ from baselines.shared_mlp import chunks
 
 
 class _EdgeMoments(torch.autograd.Function):
-    """Mean and variance (C,) of a[index] + c over all edges; a (P,C), c (Q,C), index (Q,n)."""
+    """Mean and variance (B,C) of a[index] + c over each cloud's edges.
+
+    a (B,N,C), c (B,S,C), index (B·S,n) into all clouds' points in one row.
+    """
 
     @staticmethod
     def forward(ctx: Any, a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
-        n, edges = index.shape[1], index.numel()
+        n, edges = index.shape[1], c.shape[1] * index.shape[1]
         # Centred first: the three sums then have little to cancel.
-        a_mean, c_mean = a.mean(dim=0), c.mean(dim=0)
-        a, c = a - a_mean, c - c_mean
+        a_mean, c_mean = a.mean(dim=1), c.mean(dim=1)
+        a, c = a - a_mean[:, None], c - c_mean[:, None]
         # Not bincount, which waits for the device to tell the largest index.
-        ones = a.new_ones(1).expand(edges)
-        degree = a.new_zeros(len(a)).scatter_add_(0, index.flatten(), ones)[:, None]
-        neighbours = F.embedding_bag(index, a, mode="sum")
-        mean = (degree * a).sum(dim=0) / edges
-        square = (degree * a * a).sum(dim=0) + (c * (2 * neighbours + n * c)).sum(dim=0)
+        ones = a.new_ones(1).expand(index.numel())
+        degree = a.new_zeros(a.shape[:2].numel()).scatter_add_(0, index.flatten(), ones)
+        degree = degree.view(*a.shape[:2], 1)
+        neighbours = F.embedding_bag(index, a.flatten(0, 1), mode="sum").view_as(c)
+        mean = (degree * a).sum(dim=1) / edges
+        square = (degree * a * a).sum(dim=1) + (c * (2 * neighbours + n * c)).sum(dim=1)
         ctx.save_for_backward(a, c, index, degree, neighbours, mean)
         return mean + a_mean + c_mean, (square / edges - mean * mean).clamp_min(0)
 
@@ -46,12 +50,12 @@ class _EdgeMoments(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, d_mean: Tensor, d_var: Tensor) -> tuple[Tensor, Tensor, None]:
         a, c, index, degree, neighbours, mean = ctx.saved_tensors
-        n, edges = index.shape[1], index.numel()
+        n, edges = index.shape[1], c.shape[1] * index.shape[1]
         # The transposed neighbourhoods: edges sorted by point, so that each point owns a run.
         order = torch.argsort(index.flatten(), stable=True)
         start = degree.flatten().long().cumsum(0) - degree.flatten().long()
-        centres = F.embedding_bag(order // n, c, start, mode="sum")
-        d_mean, d_var = d_mean / edges, 2 * d_var / edges
+        centres = F.embedding_bag(order // n, c.flatten(0, 1), start, mode="sum").view_as(a)
+        d_mean, d_var, mean = (d_mean / edges)[:, None], (2 * d_var / edges)[:, None], mean[:, None]
         d_a = degree * d_mean + d_var * (degree * (a - mean) + centres)
         d_c = n * d_mean + d_var * (neighbours + n * (c - mean))
         return d_a, d_c, None
@@ -111,8 +115,9 @@ def edge_relu(a: Tensor, c: Tensor, balls: Balls) -> Tensor:
     return _EdgeReLU.apply(a.flatten(0, 1), c.flatten(0, 1), balls.point, balls.centre)
 
 
-def edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and variance (C,) of a_j + c_i over all edges of a batch, the variance over the count.
+def cloud_edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and variance (B,C) of a_j + c_i over the edges of each cloud, the variance over their
+    count.
 
     Args:
         a: (B,N,C) values of points.
@@ -121,8 +126,15 @@ def edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
     """
     with torch.autocast(a.device.type, enabled=False):
         flat = flat_index(index, a.shape[1]).flatten(0, 1)
-        a, c = full_precision(a).flatten(0, 1), full_precision(c).flatten(0, 1)
-        return _EdgeMoments.apply(a, c, flat)
+        return _EdgeMoments.apply(full_precision(a), full_precision(c), flat)
+
+
+def edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
+    """The same (C,) over all edges of a batch."""
+    with torch.autocast(a.device.type, enabled=False):
+        means, variances = cloud_edge_moments(a, c, index)
+        mean = means.mean(dim=0)
+        return mean, (variances + (means - mean).square()).mean(dim=0)
 
 
 def neighbour_max(a: Tensor, index: Tensor) -> Tensor:

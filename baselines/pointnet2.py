@@ -71,17 +71,21 @@ class GroupLinear(Normed):
     Args:
         features: channels of f.
         use_xyz: whether the relative coordinates are part of the input (first, then f).
+        bias: whether there is b.
     """
 
-    def __init__(self, features: int, outputs: int, use_xyz: bool = True) -> None:
-        super().__init__(features + 3 * use_xyz, outputs)
+    def __init__(
+        self, features: int, outputs: int, use_xyz: bool = True, bias: bool = True
+    ) -> None:
+        super().__init__(features + 3 * use_xyz, outputs, bias)
         self.use_xyz = use_xyz
 
     def forward(
         self, xyz: Tensor, features: Tensor | None, centres: Tensor, balls: Balls
     ) -> Tensor:
         """(B,N,3), (B,N,C), (B,S,3), their balls → rows (R,C_out)."""
-        weight, bias = self.linear.weight, self.linear.bias
+        weight = self.linear.weight
+        bias = 0 if self.linear.bias is None else self.linear.bias
         if self.use_xyz:
             x = xyz if features is None else torch.cat([xyz.to(features.dtype), features], dim=-1)
             c = -F.linear(centres, weight[:, :3])

@@ -41,8 +41,8 @@ def full_precision(values: Tensor) -> Tensor:
     return values.to(torch.promote_types(values.dtype, torch.float32))
 
 
-def normalise(points: Tensor) -> Tensor:
-    """Subtracts each cloud's mean point and scales its largest norm to ``RADIUS``.
+def normalise(points: Tensor, radius: float = RADIUS) -> Tensor:
+    """Subtracts each cloud's mean point and scales its largest norm to ``radius``.
 
     Args:
         points: (B,N,3) floating, any frame and unit.
@@ -64,7 +64,7 @@ def normalise(points: Tensor) -> Tensor:
     points = full_precision(points)
     centred = (points.double() - points.double().mean(dim=1, keepdim=True)).to(points.dtype)
     largest = torch.linalg.vector_norm(centred, dim=-1).amax(dim=1)
-    return centred * (RADIUS / largest.clamp_min(1e-12))[:, None, None]
+    return centred * (radius / largest.clamp_min(1e-12))[:, None, None]
 
 
 @_geometry
@@ -87,11 +87,12 @@ def distances(a: Tensor, b: Tensor) -> Tensor:
 
 
 @_geometry
-def knn(points: Tensor, k: int) -> Tensor:
+def knn(points: Tensor, k: int, nearest_first: bool = False) -> Tensor:
     """Indices (B,N,k) of each point's k nearest, itself included, in no particular order.
 
     Args:
         points: (B,N,C) coordinates or features.
+        nearest_first: in this order.
 
     Raises:
         InputError: if a cloud has fewer than k points.
@@ -107,11 +108,13 @@ def knn(points: Tensor, k: int) -> Tensor:
         points = full_precision(points)
         norms = points.square().sum(dim=-1)
         nearness = torch.baddbmm(-norms[:, None], points, points.mT, alpha=2)
-    return nearness.topk(k, dim=-1, sorted=False).indices
+    return nearness.topk(k, dim=-1, sorted=nearest_first).indices
 
 
 @_geometry
-def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> Tensor:
+def farthest_points(
+    points: Tensor, count: int, start: Tensor | None = None, repeat: bool = True
+) -> Tensor:
     """Farthest point sampling: indices (B,count) of points each farthest from those before it.
 
     The sampling of the first m picks, started at the first, picks them in the same order: a
@@ -122,6 +125,8 @@ def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> 
         count: how many; beyond the number of distinct points the start is repeated or index 0.
         start: (B,) first index of each cloud; by default 0, as the published implementations have
             it in evaluation.
+        repeat: without, no index is chosen twice and points that coincide come last; ``count`` is
+            then at most N.
     """
     batch, number, _ = points.shape
     planes = full_precision(points).mT.contiguous()
@@ -132,6 +137,8 @@ def farthest_points(points: Tensor, count: int, start: Tensor | None = None) -> 
     for step in range(1, count):
         pick = planes.gather(2, last[:, None, None].expand(-1, 3, 1))
         torch.minimum(nearest, (planes - pick).square_().sum(dim=1), out=nearest)
+        if not repeat:
+            nearest.scatter_(1, last[:, None], -1)
         last = nearest.argmax(dim=1)
         chosen[:, step] = last
     return chosen

@@ -31,6 +31,11 @@ class _Gather(torch.autograd.Function):
         return d_shares[dist.get_rank()]
 
 
+def world_size() -> int:
+    """How many processes share a batch."""
+    return dist.get_world_size() if dist.is_available() and dist.is_initialized() else 1
+
+
 def pooled(mean: Tensor, var: Tensor, count: int) -> tuple[Tensor, Tensor, int | Tensor]:
     """Moments of the values of all processes from those of this one's, with gradient.
 
@@ -44,7 +49,7 @@ def pooled(mean: Tensor, var: Tensor, count: int) -> tuple[Tensor, Tensor, int |
     Returns:
         the mean, shaped as given, the variance and the count, a tensor if there are others.
     """
-    if not (dist.is_available() and dist.is_initialized() and dist.get_world_size() > 1):
+    if world_size() == 1:
         return mean, var, count
     shares = _Gather.apply(torch.cat([mean, var, var.new_tensor([count])]))
     means, variances, counts = shares.split([len(mean), len(var), 1], dim=1)

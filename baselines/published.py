@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from partialbench.errors import InputError
+from partialbench.registry import close_matches
+
+
+def chosen_quirks(names: str, known: Iterable[str]) -> frozenset[str]:
+    """What a model is to do as its published implementation does, though it cannot be meant.
+
+    Args:
+        names: joined by "+", e.g. "start+ring"; empty for none.
+
+    Raises:
+        InputError: for a name that is not known.
+    """
+    known = tuple(known)
+    chosen = frozenset(names.split("+")) if names else frozenset()
+    for name in sorted(chosen.difference(known)):
+        raise InputError(f"there is no quirk {name!r}{close_matches(name, known)}")
+    return chosen
 
 
 def tensors(

@@ -76,6 +76,11 @@ class _Moments(torch.autograd.Function):
         return d_x if w is None else d_x.mul_(w[:, None]), None, None
 
 
+def moments(rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean (C,) and covariance (C,C), divided by the count, of rows (R,C)."""
+    return _Moments.apply(rows, len(rows), None)
+
+
 class _LinearMax(torch.autograd.Function):
     """max over n of x (G,n,C_in) · weightᵀ + bias → (G,C_out), never kept before the maximum.
 
@@ -229,8 +234,8 @@ class NormLinear(Normed):
 class SharedMLP(nn.ModuleList):
     """The shared MLP a-b-c-…: a ``NormLinear`` a step, each followed by ReLU."""
 
-    def __init__(self, *channels: int) -> None:
-        super().__init__(NormLinear(a, b) for a, b in pairwise(channels))
+    def __init__(self, *channels: int, bias: bool = True) -> None:
+        super().__init__(NormLinear(a, b, bias) for a, b in pairwise(channels))
 
     def forward(self, x: Tensor) -> Tensor:
         """(…,C) → (…,C_out)."""

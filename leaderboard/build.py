@@ -1,25 +1,29 @@
-"""``partialbench leaderboard``: a folder of records → tables, figures and a page."""
+"""``partialbench leaderboard``: a folder of records → tables, a page and, on request, figures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from leaderboard import curves, damages, figures, gallery, given, latex, page, tables
+from leaderboard import curves, damages, given, latex, tables
 from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
 from leaderboard.comparison import compare
 from leaderboard.layouts import layouts
 from leaderboard.output import write_board
+from leaderboard.page import clouds, html
+from leaderboard.page.content import Found
 from leaderboard.poses import pose_layouts
-from leaderboard.settings import setting_layouts
+from leaderboard.settings import as_layout, losses, setting_families
 from leaderboard.transductive import transductive_layouts
 from leaderboard.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
 from partialbench.errors import InputError
+
+PAGE = "leaderboard.html"
 
 
 def build_leaderboard(
@@ -27,8 +31,10 @@ def build_leaderboard(
     out: Path | str,
     check: bool = False,
     data: Sequence[Path | str] = (),
+    with_figures: bool = False,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Writes leaderboard.md, .csv, .tex and .html, two more .csv and figures/*.svg and *.png.
+    """Writes leaderboard.html, .md, .csv and .tex, two more .csv and, if asked, figures/.
 
     The same records (and data) give the same bytes. Files of an earlier board that this one lacks
     are removed from ``out``.
@@ -38,10 +44,12 @@ def build_leaderboard(
             registry and test sets against the given data.
         data: data folders the records were tested on: the page shows clouds on which the models
             disagree from those whose digest fits. They become part of the page; whoever passes it
-            on needs the right to.
+            on needs the right to. Built-in data beside the records are found without being named.
+        with_figures: figures/*.svg and *.png too.
+        on_progress: called with (steps done, steps in all).
 
     Returns:
-        the paths.
+        the paths, the page's first.
 
     Raises:
         InputError: no records, or some that cannot be trusted: all that is wrong is listed, and
@@ -49,7 +57,7 @@ def build_leaderboard(
     """
     folder, out = Path(results_folder), Path(out)
     _require_none(problems(folder, recompute=check), folder)
-    test_sets = [gallery.open_test_split(Path(each)) for each in data]
+    test_sets = [clouds.open_test_split(Path(each)) for each in data]
     if check:
         whole = [(each.digest, testsets.of(each, np.arange(len(each)))) for each in test_sets]
         _require_none(against_data(folder, whole), folder)
@@ -66,18 +74,27 @@ def build_leaderboard(
             f"another sensor, a given pose, damage), which need their model's own test beside "
             f"them, with --data, or models whose answers depend on a test cloud's batch-mates"
         )
-    comparisons = [compare(column, folder) for column in board]
+    named = {each.digest for each in test_sets}
+    tested = {column.key[5] for column in board}
+    test_sets += clouds.free_test_splits(folder, tested - named)
+    steps = _Steps(on_progress, 2 * len(board) + 4)
+    comparisons = []
+    for column in board:
+        comparisons.append(compare(column, folder))
+        steps.next()
+    settings = [(family, losses(family, folder)) for family in setting_families(board)]
+    steps.next()
     families = curves.find_families(board, records, folder)
+    steps.next()
     given_poses = given.find_given_poses(board, records, folder)
-    drawn = figures.draw_all(board, comparisons, families, given_poses, folder)
-    svgs = {
-        name: (caption, figures.to_bytes(figure, "svg"))
-        for name, (caption, figure) in drawn.items()
-    }
-    galleries = [gallery.disagreements(column, folder, test_sets) for column in board]
+    steps.next()
+    galleries = []
+    for column in board:
+        galleries.append(clouds.disagreements(column, folder, test_sets))
+        steps.next()
     laid_out = [
         *layouts(board, comparisons),
-        *setting_layouts(board, folder),
+        *(as_layout(family, lost) for family, lost in settings),
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
         *map(damages.as_layout, damages.find_damages(board, records, folder)),
@@ -86,18 +103,36 @@ def build_leaderboard(
         *map(curves.as_layout, families),
         *tuning_layouts(folder, records, board),
     ]
+    found = Found(
+        board, comparisons, settings, families, given_poses, laid_out, galleries, test_sets
+    )
     contents = {
+        PAGE: html.as_html(found, folder).encode(),
         "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
         "differences.csv": tables.differences_as_csv(board, comparisons).encode(),
         "curves.csv": tables.curves_as_csv(families, given_poses).encode(),
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
-        "leaderboard.html": page.as_html(board, comparisons, laid_out, svgs, galleries).encode(),
     }
-    for name, (_, figure) in drawn.items():
-        contents[f"figures/{name}.svg"] = svgs[name][1]
-        contents[f"figures/{name}.png"] = figures.to_bytes(figure, "png")
-    return write_board(out, contents)
+    if with_figures:
+        from leaderboard import figures  # Matplotlib takes its time to load
+
+        contents |= figures.files(board, comparisons, families, given_poses, folder)
+    written = write_board(out, contents)
+    steps.next()
+    return written
+
+
+class _Steps:
+    """Counts what is done and tells it."""
+
+    def __init__(self, tell: Callable[[int, int], None] | None, total: int) -> None:
+        self._tell, self._done, self._total = tell, 0, total
+
+    def next(self) -> None:
+        self._done += 1
+        if self._tell is not None:
+            self._tell(self._done, self._total)
 
 
 def _require_none(wrong: list[str], folder: Path) -> None:

@@ -16,7 +16,7 @@ from matplotlib.ticker import NullFormatter
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison, counted
 from leaderboard.curves import Family
-from leaderboard.given import OWN, RANDOM, GivenPoses
+from leaderboard.given import OWN, PER_CLASS, RANDOM, GivenPoses
 from leaderboard.layouts import noise_title
 from leaderboard.settings import compared_rows, setting_families
 from leaderboard.words import engineering, paper_score, row_title
@@ -105,6 +105,22 @@ def draw_all(
                 _given(given),
             )
     return figures
+
+
+def files(
+    board: list[Column],
+    comparisons: list[Comparison],
+    families: list[Family],
+    given_poses: list[GivenPoses],
+    folder: Path,
+) -> dict[str, bytes]:
+    """Path below the board's folder → content: every figure as SVG and as PNG."""
+    drawn = draw_all(board, comparisons, families, given_poses, folder)
+    return {
+        f"figures/{name}.{kind}": to_bytes(figure, kind)
+        for name, (_, figure) in drawn.items()
+        for kind in ("svg", "png")
+    }
 
 
 def to_bytes(figure: Figure, kind: str) -> bytes:
@@ -221,13 +237,18 @@ def _pose_curves(family: Family) -> Figure | None:
     return figure
 
 
+def _is_noise(pose: str) -> bool:
+    """Whether it lies on the curve over the noise."""
+    return pose not in (OWN, RANDOM) and not pose.startswith(PER_CLASS)
+
+
 def _given(given: GivenPoses) -> Figure:
     """Against the noise on the true pose; level lines where the model has its own or a random."""
     figure, axes = _new()
-    noises = [float(pose) for pose in given.poses if pose not in (OWN, RANDOM)]
+    noises = [float(pose) for pose in given.poses if _is_noise(pose)]
     for name, told in given.rows.items():
         means = {pose: 100 * mean for pose, (mean, _, _) in told.accuracy.items()}
-        noisy = {float(pose): y for pose, y in means.items() if pose not in (OWN, RANDOM)}
+        noisy = {float(pose): y for pose, y in means.items() if _is_noise(pose)}
         _line(axes, given.column, name, list(noisy), list(noisy.values()))
         for pose, style in ((OWN, "--"), (RANDOM, ":")):
             if pose in means:

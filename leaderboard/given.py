@@ -21,7 +21,7 @@ from leaderboard.comparison import share_correct
 from leaderboard.layouts import Layout
 from leaderboard.words import difference, row_title
 from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.testing.given_pose import RANDOM
+from partialbench.benchmark.testing.given_pose import PER_CLASS, RANDOM, delta_deg
 from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 
 OWN, TRUE = "own", "0"
@@ -101,7 +101,8 @@ def as_layout(given: GivenPoses) -> Layout:
     return Layout(
         f"Accuracy (%) under a given pose: {given.column.title}",
         "The same weights with the pose they find themselves, and told the labelled one, that with "
-        "noise from U(−δ, δ) on every Euler angle (± δ), or one at random; in brackets the 95 % "
+        "noise from U(−δ, δ) on every Euler angle (± δ), or one at random; by class: as each "
+        "class's own symmetry maps it, so that it cannot tell the class; in brackets the 95 % "
         "interval over test objects. Gain: of the true pose over the model's own, paired.",
         ["model", *map(_heading, given.poses), "gain"],
         rows,
@@ -126,9 +127,13 @@ def _bounded(values: NDArray, object_ids: NDArray) -> Bounded:
 def _order(pose: str) -> tuple[int, float]:
     if pose == OWN:
         return 0, 0.0
-    return (2, 0.0) if pose == RANDOM else (1, float(pose))
+    if pose == RANDOM:
+        return 3, 0.0
+    return (2 if pose.startswith(PER_CLASS) else 1), delta_deg(pose)
 
 
 def _heading(pose: str) -> str:
     titles = {OWN: "own pose", TRUE: "true pose", RANDOM: "random pose"}
+    if pose.startswith(PER_CLASS):
+        return f"{_heading(pose.removeprefix(PER_CLASS))}, by class"
     return titles.get(pose, f"± {pose}°")

@@ -49,25 +49,31 @@ def compared_rows(family: dict[str, Column]) -> list[str]:
     return [name for name in names if sum(name in column.cells for column in columns) > 1]
 
 
-def setting_layouts(board: list[Column], folder: Path) -> list[Layout]:
-    """A table for each family: accuracies, and what is lost from one setting to the next.
-
-    Args:
-        folder: of the records, with their predictions.
-    """
-    return [_table(family, folder) for family in setting_families(board)]
+Loss = tuple[float, float, float] | None
+"""Accuracy in one setting less that in the next, the mean over shared objects, with its interval;
+None where no object was tested in both."""
 
 
-def _table(family: dict[str, Column], folder: Path) -> Layout:
-    rows = []
+def losses(family: dict[str, Column], folder: Path) -> dict[str, list[Loss]]:
+    """Of each of ``compared_rows``: what is lost at each step from one setting to the next."""
+    found = {}
     for name in compared_rows(family):
         cells = [column.cells.get(name) for column in family.values()]
         shares = [_by_object(cell, folder) if cell else {} for cell in cells]
+        found[name] = [_loss(before, after) for before, after in itertools.pairwise(shares)]
+    return found
+
+
+def as_layout(family: dict[str, Column], lost: dict[str, list[Loss]]) -> Layout:
+    """The accuracies of a family, and its losses, as a table."""
+    rows = []
+    for name in compared_rows(family):
+        cells = [column.cells.get(name) for column in family.values()]
         rows.append(
             [
                 row_title(next(cell for cell in cells if cell).results[0]),
                 *(percent(cell.mean(), cell.std()) if cell else "–" for cell in cells),
-                *(_loss(before, after) for before, after in itertools.pairwise(shares)),
+                *("–" if step is None else difference(step) for step in lost[name]),
             ]
         )
     setting, first = next(iter(family.items()))
@@ -86,14 +92,13 @@ def _table(family: dict[str, Column], folder: Path) -> Layout:
     )
 
 
-def _loss(before: dict[str, float], after: dict[str, float]) -> str:
-    """The mean over shared objects of the difference, with its interval."""
+def _loss(before: dict[str, float], after: dict[str, float]) -> Loss:
     both = sorted(before.keys() & after.keys())
     if not both:
-        return "–"
+        return None
     lost = np.array([before[o] - after[o] for o in both])[:, None]
     ((low, high),) = bootstrap_intervals(lost, np.array(both))
-    return difference((float(lost.mean()), float(low), float(high)))
+    return float(lost.mean()), float(low), float(high)
 
 
 def _by_object(cell: Cell, folder: Path) -> dict[str, float]:

@@ -106,14 +106,14 @@ Accuracy in %: share of test clouds named rightly, mean ± standard deviation ov
 interval is over test objects (bootstrap of whole objects). Rows that share a group number cannot be
 told apart (paired test over objects and, where rows have several seeds, over seeds; Holm's
 correction, 5 %); a row of one seed is one network, not a method. Behind the first: by how many
-points, with a 95 % interval over objects; `differences.csv` has every pair of rows. Without duplicates: the
-same without the test clouds of objects made from the very bytes of a training object. Over classes:
-mean of the per-class accuracies. Pose bin: share of clouds whose best of the 60 bins is the true
-one under symmetry; pose error: median angle to the truth modulo symmetry. Turned: how far the
-logits move when a cloud is turned, in % of their size (0 = invariant). Multiply-adds and
-milliseconds are of the forward pass for one cloud, training is the clouds seen (repeats counted)
-and the time of one seed (both on the hardware of each record). Reported figures are the paper's
-own, on its data.
+points, with a 95 % interval over objects; `differences.csv` has every pair of rows. Without
+duplicates: the same without the test clouds of objects made from the very bytes of a training
+object. Over classes: mean of the per-class accuracies. Pose bin: share of clouds whose best of the
+60 bins is the true one under symmetry; pose error: median angle to the truth modulo symmetry.
+Turned: how far the logits move when a cloud is turned, in % of their size (0 = invariant).
+Multiply-adds and milliseconds are of the forward pass for one cloud, training is the clouds seen
+(repeats counted) and the time of one seed (both on the hardware of each record). Reported figures
+are the paper's own, on its data.
 """
 
 

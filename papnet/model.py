@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from baselines.points import normalise
+from baselines.steerable.convolution import SteerableConvolution
 from papnet import pose
 from papnet.ensemble import classify_under_bins
 from papnet.parts import GRID, Backbone, ClassHead, PoseHead
@@ -54,6 +55,9 @@ VARIANTS = {
 }
 
 
+LIMIT = 32.0
+"""As many clouds as a batch has, in the published recipe and in the common one."""
+
 # Turned clouds that go through a backbone at a time.
 _CANDIDATES_AT_ONCE = 16
 
@@ -71,6 +75,8 @@ class PAPNet(nn.Module):
         snap: use the bin nearest to the noisy pose, as released, rather than the pose itself.
         pose_weight: λ of the paper's total loss.
         grid: edge of the occupancy volume, a multiple of 8 from 16 on; the published 64.
+        limit: of ``SteerableConvolution``, 0 for none, as released. Without it a few test clouds
+            of any variant have logits of millions, which an ensemble by raw logits believes.
     """
 
     def __init__(
@@ -85,6 +91,7 @@ class PAPNet(nn.Module):
         snap: bool = True,
         pose_weight: float = 1.0,
         grid: int = GRID,
+        limit: float = LIMIT,
     ) -> None:
         super().__init__()
         if variant not in VARIANTS:
@@ -97,8 +104,11 @@ class PAPNet(nn.Module):
             raise InputError(f"delta_deg must be between 0 and 180 degrees, got {delta_deg}")
         if grid < 16 or grid % 8:
             raise InputError(f"grid must be a multiple of 8, at least 16, got {grid}")
+        if limit != 0 and limit < 1:
+            raise InputError(f"limit must be 0 (none) or at least 1, got {limit}")
         self.variant, self.symmetry, self.k = VARIANTS[variant], symmetry, k
         self.delta_deg, self.snap, self.pose_weight, self.grid = delta_deg, snap, pose_weight, grid
+        self.needs_poses = bool(self.variant.pose) or self.variant.given
         self.backbone = Backbone()
         if self.variant.pose:
             outputs = NUM_BINS if self.variant.pose == "bins" else 6
@@ -106,6 +116,9 @@ class PAPNet(nn.Module):
         if self.variant.transform == "cascade":
             self.second_backbone = Backbone()
         self.class_head = ClassHead(num_classes)
+        for module in self.modules():
+            if isinstance(module, SteerableConvolution):
+                module.limit = limit or None
 
     def forward(self, points: Tensor, rotation: Tensor | None = None) -> Prediction:
         """Class and pose of clouds.
@@ -142,10 +155,20 @@ class PAPNet(nn.Module):
         """CE of the class + λ·loss of the pose (the paper's L_total), a scalar."""
         points = normalise(batch.points)
         label = batch.mapped_rotation if self.symmetry else batch.rotation
-        features = self.backbone(points, self.grid)
-        pose_logits, predicted = self._pose(features)
-        rotation = self._given(label) if self.variant.given else predicted
-        loss = cross_entropy(self._classify(points, features, rotation), batch.label)
+        if self.variant.transform == "input":
+            # Both streams as one batch: the norms' running statistics are of what they meet at
+            # test, clouds as they come and turned ones.
+            given = self._given(label).to(points.dtype)
+            both = self.backbone(torch.cat([points, points @ given]), self.grid)
+            features, turned = both.chunk(2)
+            pose_logits, predicted = self._pose(features)
+            logits = self.class_head(turned)
+        else:
+            features = self.backbone(points, self.grid)
+            pose_logits, predicted = self._pose(features)
+            rotation = self._given(label) if self.variant.given else predicted
+            logits = self._classify(points, features, rotation)
+        loss = cross_entropy(logits, batch.label)
         if self.variant.pose == "bins":
             assert pose_logits is not None
             loss = loss + self.pose_weight * cross_entropy(pose_logits, pose.soft_target(label))

@@ -133,7 +133,7 @@ def _parameters(factory: Callable[..., Any]) -> _Parameters | None:
         hints = {}
     more = {p.name for p in parameters if p.kind is p.VAR_KEYWORD}
     # A name that is taken cannot be given again: that of the number of classes.
-    return options, {p.name for p in parameters} if more else None, hints
+    return options, {p.name for p in parameters} - more if more else None, hints
 
 
 def _kind_of(name: str, option: str, parameters: _Parameters | None) -> tuple[Any, Any]:

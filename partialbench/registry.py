@@ -77,6 +77,8 @@ class ModelCard:
         entry: "module:factory"; called as factory(num_classes, **options) → ``nn.Module``.
         title: as printed in tables.
         paper, reference, reference_licence: publication, owner/repository@commit, its licence.
+        inputs: what it is called with beside the points: "normals", as ``forward``'s argument of
+            that name; its ``nn.Module`` says so too, by ``needs_normals``.
         representation: what the network sees, as in the paper's table ("pc (1024×3)").
         invariances: claimed of the class logits: "permutation", "rotation" (any), both or none.
         parameters: {num_classes: count}.
@@ -84,6 +86,8 @@ class ModelCard:
         common: what this model changes about ``COMMON_RECIPE``, such as the rate that its trials
             on the validation split chose.
         published: "module:convert" from a published state dict to ours, or "" where there is none.
+        published_options: of the factory, to compute as that implementation did where the row
+            does not; ``load_published`` sets them.
         paper_scores: the paper's table 1: {"pm40": 68.8, "ps15": …, "pm40>ps15": …, …}.
         choices: what the publication leaves open and how it is settled here.
         deviations: what differs from the publication, and why.
@@ -96,17 +100,24 @@ class ModelCard:
     reference: str = ""
     reference_licence: str = ""
     representation: str = ""
+    inputs: tuple[str, ...] = ()
     invariances: frozenset[str] = frozenset()
     parameters: Mapping[int, int] = field(default_factory=dict)
     recipe: Recipe = field(default_factory=Recipe)
     common: Mapping[str, Any] = field(default_factory=dict)
     published: str = ""
+    published_options: Mapping[str, Any] = field(default_factory=dict)
     paper_scores: Mapping[str, float] = field(default_factory=dict)
     choices: tuple[str, ...] = ()
     deviations: tuple[str, ...] = ()
 
 
-CARD_TABLES: tuple[str, ...] = ("baselines.cards:CARDS", "papnet.cards:CARDS")
+CARD_TABLES: tuple[str, ...] = (
+    "baselines.cards:CARDS",
+    "baselines.modern_cards:CARDS",
+    "baselines.backbone_cards:CARDS",
+    "papnet.cards:CARDS",
+)
 
 OPEN_SOURCE = "renderers.sources.open:open_source"
 """Opens a source by name, or whatever a path is: an archive, a tree, a folder, an HDF5 file."""
@@ -260,6 +271,8 @@ def options_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
 def load_published(name: str, state: Mapping[str, Any], num_classes: int) -> nn.Module:
     """A model in evaluation mode with the weights of its published implementation.
 
+    It computes what that implementation did, by the card's ``published_options``.
+
     Args:
         state: published parameter names → arrays (numpy or torch).
     """
@@ -267,7 +280,7 @@ def load_published(name: str, state: Mapping[str, Any], num_classes: int) -> nn.
     if not entry.published:
         raise InputError(f"{name!r} has no published weights we can convert (reference: "
                          f"{entry.reference or 'none'})")  # fmt: skip
-    model = create(name, num_classes)
+    model = create(name, num_classes, **entry.published_options)
     model.load_state_dict(load(entry.published)(state, model))
     return model.eval()
 

@@ -220,15 +220,3 @@ def ours_first() -> None:
                 f"the package {name!r} of {Path(file).parent} was imported before this project's "
                 f"of the same name; rename it"
             )
-
-
-def current_folder_last() -> None:
-    """Moves the current folder from the front of the path, where ``python -m`` has it, to its end.
-
-    A user's ``random.py`` there must not become everyone's.
-    """
-    here = os.getcwd()
-    if sys.path and sys.path[0] in ("", here):
-        del sys.path[0]
-    if here not in sys.path:
-        sys.path.append(here)

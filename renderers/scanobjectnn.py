@@ -1,8 +1,8 @@
 """ScanObjectNN's HDF5 files, as a data folder like any other, but without poses.
 
-Uy et al., "Revisiting Point Cloud Classification", ICCV 2019. A file has ``data`` (M,N,3), ``label``
-(M,) and ``mask`` (M,N); ``training_X.h5`` and ``test_X.h5`` belong together. The clouds are parts
-of objects as they were scanned, so that nothing is rendered, and their poses are not known.
+Uy et al., "Revisiting Point Cloud Classification", ICCV 2019. A file has ``data`` (M,N,3),
+``label`` (M,) and ``mask`` (M,N); ``training_X.h5`` and ``test_X.h5`` belong together. The clouds
+are parts of objects as they were scanned, so that nothing is rendered, and nobody knows the poses.
 """
 
 from __future__ import annotations

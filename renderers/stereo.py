@@ -13,6 +13,7 @@ disparities, fattened and eroded edges, holes where light does not reach or come
 from __future__ import annotations
 
 import functools
+import importlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -196,7 +197,7 @@ class Stereo:
         Args:
             count: of disparities, by which the images are wider on their left than what is found.
         """
-        import cv2
+        cv2: Any = importlib.import_module("cv2")  # its stubs lack this class
 
         area = self.block**2
         matcher = cv2.StereoSGBM_create(
@@ -286,7 +287,8 @@ def _resampled(
     turned = rays @ rig.T
     uv, _ = camera.project(turned)
     # A fixed camera may show what lies outside the object's ball; the rig does not.
-    inside = ((uv >= 0) & (uv < [camera.width, camera.height])).all(axis=1)
+    u, v = uv.T
+    inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
     at = np.floor(np.where(inside[:, None], uv, 0)).astype(int)
     found = np.where(inside, z[at[:, 1], at[:, 0]], 0)
     measured = np.zeros(depth.shape, np.float32)

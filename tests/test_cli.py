@@ -164,8 +164,9 @@ def test_shapes_exports_a_tree_that_render_reads(tmp_path):
     assert len(list((tmp_path / "cad").rglob("*.off"))) == 6
     run = partialbench(*RENDER, "--source", tmp_path / "cad", "--aligned", "--out",
                        tmp_path / "data", "--workers", 1, check=0)  # fmt: skip
-    assert run.stdout.startswith("pm40 in")
-    assert "(the paper: 98,430)" in run.stdout
+    assert run.stdout.startswith("pm40-custom in")
+    assert "the paper" not in run.stdout  # two of its forty classes are not its data
+    assert "source: <class>/<split>/<file>: 2 classes, 4 training, 2 test objects" in run.stderr
 
 
 def test_eval_predict_and_leaderboard_form_a_chain(rendered, tmp_path):
@@ -195,7 +196,7 @@ def test_eval_predict_and_leaderboard_form_a_chain(rendered, tmp_path):
     (checkpoint,) = (tmp_path / "results" / "runs").rglob("checkpoint.pt")
     np.save(tmp_path / "capture.npy", np.random.default_rng(0).normal(size=(100, 3)))
     run = partialbench("predict", "capture.npy", "--checkpoint", checkpoint, "--json",
-                       cwd=tmp_path, check=0)  # fmt: skip
+                       "--model", "my_model:make", cwd=tmp_path, check=0)  # fmt: skip
     assert json.loads(run.stdout)["class"] in ("crate", "tin")
 
 

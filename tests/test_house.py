@@ -94,7 +94,8 @@ def test_every_entry_of_the_tables_loads(entry):
 
 
 def test_every_source_has_a_data_set_and_a_known_occluder():
-    assert set(registry.DATASET_IDS) == set(registry.SOURCES)
+    # One source may make several data sets: all of ModelNet40, or other meshes.
+    assert set(registry.DATASET_IDS) >= set(registry.SOURCES)
     assert {occluder for _, occluder in registry.DATASET_IDS.values()} <= set(registry.OCCLUDERS)
 
 

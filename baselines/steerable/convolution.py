@@ -45,6 +45,12 @@ class SteerableConvolution(nn.Module):
         size: kernel edge in voxels, odd.
         padding, stride: as for ``conv3d``.
         momentum, eps: of the running statistics.
+        limit: in evaluation, a field whose mean square in a cloud is more than ``limit`` times the
+            running one is scaled down to that; None leaves it as se3cnn does. In training no cloud
+            of a batch of B can exceed B times the batch's mean, and one that is all of it is
+            divided by itself. Running statistics promise nothing of the kind: a field that ReLUs
+            kept at zero has a variance of ``eps``, and the rare cloud that wakes it up comes out
+            300 times too large, layer after layer. Other clouds are not touched, to the last bit.
         formulation: "assembled", "factorised", "spectral" (cubes only), or "auto": the first two
             by their work, and on a CPU the third where the volume at hand makes it cheaper.
 
@@ -65,12 +71,13 @@ class SteerableConvolution(nn.Module):
         stride: int = 1,
         momentum: float = 0.1,
         eps: float = 1e-5,
+        limit: float | None = None,
         formulation: str = "auto",
     ) -> None:
         super().__init__()
         self.fields_in, self.fields_out = fields_in, fields_out
         self.size, self.padding, self.stride = size, padding, stride
-        self.momentum, self.eps = momentum, eps
+        self.momentum, self.eps, self.limit = momentum, eps, limit
         self.formulation = self._choose(formulation)
         self._may_be_spectral = formulation in ("auto", "spectral")
         self.weights = nn.ParameterDict()
@@ -140,6 +147,8 @@ class SteerableConvolution(nn.Module):
         low_precision = torch.is_autocast_enabled(x.device.type)
         with torch.autocast(x.device.type, enabled=False):
             mean, var = self._statistics(x)
+            if self.limit is not None and not self.training:
+                x = self._limited(x, mean, var, self.limit)
             padding = self.padding
             plan = self._plan(x, low_precision)
             if plan and self._mixes_later:
@@ -218,6 +227,25 @@ class SteerableConvolution(nn.Module):
             self.running_mean.lerp_(mean.to(self.running_mean.dtype), self.momentum)
             self.running_var.lerp_(var_all.to(self.running_var.dtype), self.momentum)
         return mean, var_all
+
+    def _limited(self, x: Tensor, mean: Tensor, var: Tensor, limit: float) -> Tensor:
+        """The input, each cloud's fields scaled to at most ``limit`` times the mean square."""
+        squares = []
+        for degree, m, channels in self.fields_in.degrees:
+            part = x[:, channels].unflatten(1, (m, 2 * degree + 1)).flatten(3).float()
+            if degree == 0:
+                part = part - mean[:, None, None]
+            squares.append(part.square().sum(2).mean(2))
+        most = limit * (var + self.eps)
+        scale = (most / torch.cat(squares, dim=1).maximum(most)).sqrt()
+        if bool((scale == 1).all()):
+            return x
+        sizes = torch.tensor([2 * d + 1 for d, m, _ in self.fields_in.degrees for _ in range(m)])
+        scale = scale.repeat_interleave(sizes.to(x.device), dim=1)
+        # Scalars shrink towards their mean; with a scale of 1 nothing is added.
+        towards = nn.functional.pad(mean, (0, x.shape[1] - len(mean))) * (1 - scale)
+        scale, towards = (t.to(x.dtype)[..., None, None, None] for t in (scale, towards))
+        return x * scale + towards
 
     def _normalised_weights(self, var: Tensor) -> list[Tensor]:
         """The weights, each column divided by its input field's scale."""

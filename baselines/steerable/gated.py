@@ -17,7 +17,7 @@ class GatedBlock(nn.Module):
 
     Args:
         fields_in, fields_out: what the channels are.
-        size, padding, stride, momentum, formulation: as for ``SteerableConvolution``.
+        size, padding, stride, momentum, limit, formulation: as for ``SteerableConvolution``.
     """
 
     def __init__(
@@ -29,6 +29,7 @@ class GatedBlock(nn.Module):
         padding: int = 0,
         stride: int = 1,
         momentum: float = 0.1,
+        limit: float | None = None,
         formulation: str = "auto",
     ) -> None:
         super().__init__()
@@ -41,6 +42,7 @@ class GatedBlock(nn.Module):
             padding=padding,
             stride=stride,
             momentum=momentum,
+            limit=limit,
             formulation=formulation,
         )
         self.scalar_bias = nn.Parameter(torch.zeros(scalars))

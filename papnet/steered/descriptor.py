@@ -7,10 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from baselines.camera import camera_ray
 from baselines.points import full_precision, normalise
 from baselines.processes import pooled
 from papnet.steered.encoder import Encoder
-from papnet.steered.geometry import SHELLS, geometry
+from papnet.steered.geometry import geometry, num_fields
 from partialbench.errors import InputError
 
 
@@ -58,15 +59,22 @@ class Describe(nn.Module):
         channels: C, of every degree.
         width: W, of the point features.
         k: nearest neighbours.
+        scales: of wide neighbourhoods, 1 or 2.
+        ray: whether the direction from the camera to the cloud is seen. Clouds must then be in the
+            camera's frame, and what is equivariant is a turn about the camera, or of camera and
+            cloud together.
     """
 
-    def __init__(self, lmax: int, channels: int, width: int, k: int) -> None:
+    def __init__(
+        self, lmax: int, channels: int, width: int, k: int, scales: int = 1, ray: bool = False
+    ) -> None:
         super().__init__()
-        self.lmax, self.k = lmax, k
-        self.encoder = Encoder(lmax, width)
+        self.lmax, self.k, self.scales, self.ray = lmax, k, scales, ray
+        self.encoder = Encoder(lmax, width, scales, ray)
+        fields = num_fields(scales, ray)
         # No bias: none is equivariant above degree 0, and the norm cancels it there.
         self.mix = nn.ModuleList(
-            nn.Linear(2 * SHELLS * width, channels, bias=False) for _ in range(lmax + 1)
+            nn.Linear(fields * width, channels, bias=False) for _ in range(lmax + 1)
         )
         self.norm = nn.ModuleList(DegreeNorm(channels, degree) for degree in range(lmax + 1))
 
@@ -74,19 +82,21 @@ class Describe(nn.Module):
         """(B,N,3) clouds of any position and scale, N > k.
 
         Raises:
-            InputError: for clouds of another shape or of too few points.
+            InputError: for clouds of another shape or of too few points, and where the ray is seen
+                for centred ones, which have none.
         """
-        points = normalise(points)
+        observed, points = points, normalise(points)
         if points.shape[1] <= self.k:
             raise InputError(
                 f"{self.k} neighbours need clouds of at least {self.k + 1} points, "
                 f"got {points.shape[1]}"
             )
-        g = geometry(points, self.k, self.lmax)
+        ray = camera_ray(observed).to(points.dtype) if self.ray else None
+        g = geometry(points, self.k, self.lmax, self.scales, ray)
         features = self.encoder(g)
         with torch.autocast(points.device.type, enabled=False):
             features = full_precision(features)
-            # (B,2S,M,W): the mean over points of field times feature.
+            # (B,fields,M,W): the mean over points of field times feature.
             pooled = g.fields.flatten(2).mT @ features / points.shape[1]
             pooled = pooled.unflatten(1, g.fields.shape[2:])
             steerable = {}

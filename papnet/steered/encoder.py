@@ -18,11 +18,12 @@ class Encoder(nn.Module):
 
     Args:
         width: of the last layer; the edge layers have 3/8 and 3/4 of it.
+        scales, ray: of the geometry.
     """
 
-    def __init__(self, lmax: int, width: int) -> None:
+    def __init__(self, lmax: int, width: int, scales: int = 1, ray: bool = False) -> None:
         super().__init__()
-        points, edges = num_features(lmax)
+        points, edges = num_features(lmax, scales, ray)
         first, second = 3 * width // 8, 3 * width // 4
         self.point_norm = nn.BatchNorm1d(points, affine=False)
         self.edge_norm = nn.BatchNorm1d(edges, affine=False)

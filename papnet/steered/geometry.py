@@ -7,7 +7,8 @@ before the rank that ends its neighbourhood is reached, and the wide neighbourho
 shells of the distance instead of through chosen ranks.
 
 Fields are in e3nn's basis, degrees stacked: component l² + l + m of (l+1)² is degree l's m.
-Suffixes: B clouds, N points, k neighbours, S shells, M = (lmax+1)² components, F features.
+Suffixes: B clouds, N points, k neighbours, S shells, W widths of the wide neighbourhood,
+M = (lmax+1)² components, F features.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ with warnings.catch_warnings():
 SHELLS = 3
 """Radial functions of the wide neighbourhood, and of the distance from the centroid."""
 WIDE_SHARE, WIDE_MOST = 4, 128
-"""The wide neighbourhood holds one in WIDE_SHARE of the cloud's points, at most WIDE_MOST."""
+"""The wide neighbourhood holds one in WIDE_SHARE of the cloud's points, at most WIDE_MOST. Each
+further scale holds twice as many as the one before."""
 SHORT = 0.01
 """Length in a cloud of radius 1 below which a direction fades out: it would be rounding or noise
 alone. Copies of one point are common where fewer points are visible than a cloud has."""
@@ -46,8 +48,9 @@ class Geometry(NamedTuple):
         penalty: (B,N,k) ≥ 0, 0 for near neighbours, without bound towards the rank that ends them.
         point_features: (B,N,F) invariants of each point.
         edge_features: (B,N,k,F) invariants of each point and its neighbour.
-        fields: (B,N,2S,M) steerable: harmonics of the direction from the centroid times shells of
-            the radius, then moments of the wide neighbourhood.
+        fields: (B,N,num_fields,M) steerable: harmonics of the direction from the centroid times
+            shells of the radius, then moments of the wide neighbourhoods, then, where it is known,
+            harmonics of the camera's ray.
     """
 
     neighbours: Tensor
@@ -82,42 +85,55 @@ def per_degree(products: Tensor, lmax: int) -> Tensor:
     return products @ belongs.to(products)
 
 
-def num_features(lmax: int) -> tuple[int, int]:
+def num_features(lmax: int, scales: int = 1, ray: bool = False) -> tuple[int, int]:
     """(features of a point, features of an edge)."""
-    return 3 + SHELLS + 2 * SHELLS * lmax, 4 + 3 * SHELLS * lmax
+    moments = scales * SHELLS
+    of_point = 2 + scales + moments + 2 * moments * lmax
+    of_edge = 4 + 3 * SHELLS * lmax
+    return (of_point + 1 + moments * lmax, of_edge + 1) if ray else (of_point, of_edge)
+
+
+def num_fields(scales: int = 1, ray: bool = False) -> int:
+    """How many steerable fields a point has."""
+    return SHELLS * (1 + scales) + ray
 
 
 @torch.no_grad()
-def geometry(points: Tensor, k: int, lmax: int) -> Geometry:
+def geometry(
+    points: Tensor, k: int, lmax: int, scales: int = 1, ray: Tensor | None = None
+) -> Geometry:
     """Neighbourhoods, moments and invariants of clouds.
 
     Args:
         points: (B,N,3) normalised, float32 or float64, N > k.
         k: nearest neighbours that become edges.
+        scales: of wide neighbourhoods.
+        ray: (B,3) unit, from the camera to each cloud: one more direction that turns with it.
     """
     with torch.autocast(points.device.type, enabled=False):
         # A few clouds at a time: the wide neighbourhoods of all would leave a processor's cache.
-        values = points.shape[1] * WIDE_MOST * (lmax + 1) ** 2
+        values = points.shape[1] * WIDE_MOST * 2 ** (scales - 1) * (lmax + 1) ** 2
         parts = [
-            _geometry(points[part], k, lmax) for part in chunks(len(points), values, points.device)
+            _geometry(points[part], k, lmax, scales, None if ray is None else ray[part])
+            for part in chunks(len(points), values, points.device)
         ]
         return Geometry(*(torch.cat(tensors) for tensors in zip(*parts, strict=True)))
 
 
-def _geometry(points: Tensor, k: int, lmax: int) -> Geometry:
+def _geometry(points: Tensor, k: int, lmax: int, scales: int, ray: Tensor | None) -> Geometry:
     number = points.shape[1]
-    wide = min(max(min(number // WIDE_SHARE, WIDE_MOST), k), number - 1)
-    near, index = distances(points, points).topk(wide + 1, largest=False)
+    sizes = [
+        min(max(min(number // WIDE_SHARE, WIDE_MOST) * 2**scale, k), number - 1)
+        for scale in range(scales)
+    ]
+    near, index = distances(points, points).topk(sizes[-1] + 1, largest=False)
     # The distance of the first point left out ends a neighbourhood; it is continuous, as every
     # order statistic is, though which point it belongs to is not.
-    end, narrow_end = near[..., wide], near[..., k]
-    offsets = gather(points, index[..., :wide]) - points[:, :, None]
+    ends, narrow_end = [near[..., size] for size in sizes], near[..., k]
+    offsets = gather(points, index[..., : sizes[-1]]) - points[:, :, None]
     Y = harmonics(directions(offsets), lmax)
-
-    u = near[..., :wide] / end.clamp_min(1e-6)[..., None]
-    window = (1 - u.square()).clamp_min(0).square()
-    radial = shells(u, _WIDE_CENTRES, _WIDE_WIDTH) * window[..., None]
-    moments = radial.mT @ Y / window.sum(-1).clamp_min(1e-6)[..., None, None]
+    of_scales = [_moments(near, Y, size) for size in sizes]
+    moments = torch.cat(of_scales, dim=2)
 
     radius = torch.linalg.vector_norm(points, dim=-1)
     outward = harmonics(directions(points), lmax)
@@ -127,21 +143,36 @@ def _geometry(points: Tensor, k: int, lmax: int) -> Geometry:
     scaled = near[..., :k] / narrow_end.clamp_min(1e-6)[..., None]
     # 0 up to half of the last distance, then up to 1e4 at all of it: never chosen there.
     fade = (2 * (1 - scaled)).clamp(1e-4, 1)
+    of_points = [
+        torch.stack([radius, *ends, narrow_end], dim=-1),
+        moments[..., 0],
+        per_degree(moments.square(), lmax).sqrt().flatten(2),
+        per_degree(moments * outward[:, :, None], lmax).flatten(2),
+    ]
+    of_edges = [
+        _edge_features(points, neighbours, near[..., :k], Y[:, :, :k], of_scales[0], outward, lmax)
+    ]
+    fields = [from_centre, moments]
+    if ray is not None:
+        seen = harmonics(ray, lmax)[:, None, None]
+        of_points += [
+            (outward[..., 1:4] * seen[:, :, 0, 1:4]).sum(-1, keepdim=True),
+            per_degree(moments * seen, lmax).flatten(2),
+        ]
+        of_edges.append((Y[:, :, :k, 1:4] * seen[..., 1:4]).sum(-1, keepdim=True))
+        fields.append(seen.expand(-1, number, -1, -1))
     return Geometry(
-        neighbours,
-        1 / fade - 1,
-        torch.cat(
-            [
-                torch.stack([radius, end, narrow_end], dim=-1),
-                moments[..., 0],
-                per_degree(moments.square(), lmax).sqrt().flatten(2),
-                per_degree(moments * outward[:, :, None], lmax).flatten(2),
-            ],
-            dim=-1,
-        ),
-        _edge_features(points, neighbours, near[..., :k], Y[:, :, :k], moments, outward, lmax),
-        torch.cat([from_centre, moments], dim=2),
-    )
+        neighbours, 1 / fade - 1, torch.cat(of_points, dim=-1), torch.cat(of_edges, dim=-1),
+        torch.cat(fields, dim=2),
+    )  # fmt: skip
+
+
+def _moments(near: Tensor, Y: Tensor, size: int) -> Tensor:
+    """(B,N,S,M) of the harmonics (B,N,n,M) of the ``size`` nearest, in shells of the distance."""
+    u = near[..., :size] / near[..., size].clamp_min(1e-6)[..., None]
+    window = (1 - u.square()).clamp_min(0).square()
+    radial = shells(u, _WIDE_CENTRES, _WIDE_WIDTH) * window[..., None]
+    return radial.mT @ Y[:, :, :size] / window.sum(-1).clamp_min(1e-6)[..., None, None]
 
 
 def _edge_features(

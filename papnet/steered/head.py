@@ -12,6 +12,8 @@ descriptor and a hidden layer of its own.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -46,6 +48,41 @@ def num_joint_weights(channels: int, width: int, lmax: int, hidden: int) -> int:
     return hidden * (channels * (lmax + 1) ** 2 + num_invariants(channels, width, lmax))
 
 
+class View(NamedTuple):
+    """A cloud as a ``JointHead`` sees it, to be scored under any pose.
+
+    Attributes:
+        coefficients: G, (B,Σ(2l+1)²,H).
+        constant: (B,H), what no pose changes.
+        context: (B,H) of the second round, or None.
+    """
+
+    coefficients: Tensor
+    constant: Tensor
+    context: Tensor | None
+
+
+class SecondRound(nn.Module):
+    """Every pose and class scored once more, in the light of the first round's distribution.
+
+    The first round's hidden layer, averaged over the poses as likely as they are found, and the
+    classes' probabilities make a vector that is added to the layer under each pose: attention of
+    one query, from the pose to the class and back.
+    """
+
+    def __init__(self, hidden: int, num_classes: int) -> None:
+        super().__init__()
+        self.attend = nn.Linear(hidden + num_classes, hidden, bias=False)
+        self.norm = nn.BatchNorm1d(hidden)
+        self.score = nn.Linear(hidden, num_classes)
+
+    def context(self, active: Tensor, scores: Tensor) -> Tensor:
+        """(B,H) from the first round's layer (B,P,H) and scores (B,P,K)."""
+        joint = scores.flatten(1).softmax(1).view_as(scores)
+        attended = (joint.sum(2)[:, None] @ active)[:, 0]
+        return self.attend(torch.cat([attended, joint.sum(1).to(attended.dtype)], dim=1))
+
+
 class JointHead(nn.Module):
     """Descriptor → unnormalised log-probabilities of (pose, class).
 
@@ -53,11 +90,13 @@ class JointHead(nn.Module):
         channels, width, lmax: of the descriptor.
         hidden: H.
         poses: how many poses are tried, see ``pose_grid``.
+        rounds: 2 for a ``SecondRound``, else 1.
     """
 
     def __init__(
-        self, channels: int, width: int, lmax: int, hidden: int, num_classes: int, poses: int
-    ) -> None:
+        self, channels: int, width: int, lmax: int, hidden: int, num_classes: int, poses: int,
+        rounds: int = 1,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.lmax = lmax
         fan_in = channels * (lmax + 1) ** 2
@@ -68,6 +107,7 @@ class JointHead(nn.Module):
         self.invariant = nn.Linear(num_invariants(channels, width, lmax), hidden, bias=False)
         self.norm = nn.BatchNorm1d(hidden)
         self.score = nn.Linear(hidden, num_classes)
+        self.second = SecondRound(hidden, num_classes) if rounds == 2 else None
         self.entries: Tensor
         entries = wigner_entries(torch.tensor(pose_grid(poses)), lmax)
         self.register_buffer("entries", entries.float(), persistent=False)
@@ -80,19 +120,61 @@ class JointHead(nn.Module):
             parts.append((x.steerable[degree].mT @ weight).unflatten(2, (m, -1)).flatten(1, 2))
         return torch.cat(parts, dim=1)
 
-    def forward(self, x: Descriptor, rotation: Tensor | None = None) -> Tensor:
-        """Scores (B,P,K) under P poses.
+    def forward(self, x: Descriptor) -> Tensor:
+        """Scores (B,P,K) under the poses of ``pose_grid``."""
+        return self.look(x)[0]
 
-        Args:
-            rotation: (B,P,3,3) object → camera; by default those of ``pose_grid``.
+    def look(self, x: Descriptor) -> tuple[Tensor, View]:
+        """Scores (B,P,K) under the poses of ``pose_grid``, and what scores under others need."""
+        view = View(self.coefficients(x), self.invariant(invariants(x)), None)
+        h = self.layer(view, self.entries)
+        active = _active(self.norm, h)
+        scores = self.score(active)
+        if self.second is None:
+            return scores, view
+        view = view._replace(context=self.second.context(active, scores))
+        return scores + self._again(view, h), view
+
+    def layer(self, view: View, entries: Tensor) -> Tensor:
+        """The hidden layer (B,P,H) under poses by their Wigner entries, (P,E) or (B,P,E)."""
+        G = view.coefficients
+        return entries.to(G.dtype) @ G + view.constant[:, None]
+
+    def scores(self, view: View, entries: Tensor) -> Tensor:
+        """Scores (B,P,K) under poses by their Wigner entries."""
+        h = self.layer(view, entries)
+        scores = self.score(_active(self.norm, h))
+        return scores if self.second is None else scores + self._again(view, h)
+
+    def _again(self, view: View, h: Tensor) -> Tensor:
+        assert self.second is not None
+        assert view.context is not None
+        return self.second.score(_active(self.second.norm, h + view.context[:, None]))
+
+    def slopes(self, view: View, entries: Tensor) -> Tensor:
+        """d log Σ_k e^score / d h, (B,P,H), of a head in evaluation mode.
+
+        Written out, for there are no gradients to be had in inference mode.
         """
-        G = self.coefficients(x)
-        if rotation is None:
-            entries = self.entries
-        else:
-            entries = wigner_entries(rotation.to(G.device), self.lmax)
-        h = entries.to(G.dtype) @ G + self.invariant(invariants(x))[:, None]
-        return self.score(F.relu(self.norm(h.flatten(0, 1)).view_as(h)))
+        h = self.layer(view, entries)
+        classes = self.scores(view, entries).softmax(-1)
+        slopes = _slope(self.norm, self.score, h, classes)
+        if self.second is not None:
+            assert view.context is not None
+            moved = h + view.context[:, None]
+            slopes = slopes + _slope(self.second.norm, self.second.score, moved, classes)
+        return slopes
+
+
+def _active(norm: nn.BatchNorm1d, h: Tensor) -> Tensor:
+    return F.relu(norm(h.flatten(0, 1)).view_as(h))
+
+
+def _slope(norm: nn.BatchNorm1d, score: nn.Linear, h: Tensor, classes: Tensor) -> Tensor:
+    """d Σ_k p_k·score_k / d h at fixed p."""
+    assert norm.running_var is not None
+    gain = norm.weight * torch.rsqrt(norm.running_var + norm.eps)
+    return (classes @ score.weight) * (_active(norm, h) > 0) * gain
 
 
 class InvariantHead(nn.Module):

@@ -11,16 +11,26 @@ is this project's own.
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import cross_entropy, nll_loss
+from torch.nn.functional import cross_entropy, nll_loss, one_hot
 
 from baselines.points import full_precision
 from papnet.steered.descriptor import Describe, Descriptor
-from papnet.steered.head import InvariantHead, JointHead, num_joint_weights
+from papnet.steered.head import (
+    InvariantHead,
+    JointHead,
+    View,
+    num_joint_weights,
+    wigner_entries,
+)
 from papnet.steered.poses import pose_grid, share_of_bins
+from papnet.steered.refine import REFINED, climb
 from partialbench.benchmark.prediction import Batch, Prediction
 from partialbench.errors import InputError
+from partialbench.geometry.bins import NUM_BINS
 
 HIDDEN, TWIN_HIDDEN = 312, 384
 
@@ -38,6 +48,12 @@ class PAPNetSteered(nn.Module):
         poses: how many poses are tried: the 60 bins, or 360 with the rotations between them.
         concentration: κ of the soft target, which falls with the angle θ from the label as
             exp(2κ·cos θ); 3 halves it at 28°, as far as a label can be from the grid of 360.
+        ray, scales: of ``Describe``.
+        rounds: of scores, see ``SecondRound``.
+        refine: at test, steps up the score from the most likely poses of the grid, whose scores
+            take their place.
+        votes: at test, so many windows of each cloud are asked and their probabilities averaged,
+            each without another share of the points; 1 for the cloud as it is.
     """
 
     def __init__(
@@ -51,16 +67,27 @@ class PAPNetSteered(nn.Module):
         pose_weight: float = 0.3,
         poses: int = 360,
         concentration: float = 3.0,
+        ray: bool = False,
+        scales: int = 1,
+        rounds: int = 1,
+        refine: int = 0,
+        votes: int = 1,
     ) -> None:
         super().__init__()
-        _check(lmax, channels, width, k)
+        _check(lmax, channels, width, k, scales, votes)
         if pose_weight < 0:
             raise InputError(f"pose_weight must not be negative, got {pose_weight}")
         if concentration <= 0:
             raise InputError(f"concentration must be positive, got {concentration}")
+        if rounds not in (1, 2):
+            raise InputError(f"rounds must be 1 or 2, got {rounds}")
+        if refine < 0:
+            raise InputError(f"refine must not be negative, got {refine}")
         self.pose_weight, self.concentration = pose_weight, concentration
-        self.describe = Describe(lmax, channels, width, k)
-        self.head = JointHead(channels, width, lmax, HIDDEN, num_classes, poses)
+        self.needs_poses = pose_weight > 0
+        self.refine, self.votes = refine, votes
+        self.describe = Describe(lmax, channels, width, k, scales, ray)
+        self.head = JointHead(channels, width, lmax, HIDDEN, num_classes, poses, rounds)
         self.poses: Tensor
         self.share: Tensor
         grid, share = (torch.tensor(table(poses)).float() for table in (pose_grid, share_of_bins))
@@ -83,23 +110,51 @@ class PAPNetSteered(nn.Module):
             rotation: (B,3,3) object → camera, where the pose is known; by default all poses count.
 
         Returns:
-            log-probabilities of the class (B,K), the sum over the poses or under the given one, and
-            of the bin (B,60), to which the poses nearest to it count.
+            log-probabilities of the class (B,K), the sum over the poses, or of the class and the
+            given one together, so that answers under several poses compare; and of the bin (B,60),
+            to which the poses nearest to it count.
         """
-        x = self.describe(points)
-        joint = _log_joint(self.head(x))
-        if rotation is None:
-            classes = joint.logsumexp(1)
+        if rotation is not None and rotation.shape != (len(points), 3, 3):
+            raise InputError(
+                f"expected one rotation per cloud, shape {(len(points), 3, 3)}, "
+                f"got {tuple(rotation.shape)}"
+            )
+        if self.training or self.votes == 1:
+            classes, bins = self._answer(points, rotation)
         else:
-            if rotation.shape != (len(points), 3, 3):
-                raise InputError(
-                    f"expected one rotation per cloud, shape {(len(points), 3, 3)}, "
-                    f"got {tuple(rotation.shape)}"
-                )
-            classes = full_precision(self.head(x, rotation[:, None])[:, 0]).log_softmax(-1)
-        # The floor keeps the logarithm finite where every pose of a bin has underflowed.
-        bins = (joint.logsumexp(2).exp() @ self.share).clamp_min(1e-30).log()
+            answers = [self._answer(each, rotation) for each in windows(points, self.votes)]
+            classes, bins = (
+                torch.stack(each).logsumexp(0) - math.log(self.votes)
+                for each in zip(*answers, strict=True)
+            )
         return Prediction(classes, bins)
+
+    def _answer(self, points: Tensor, rotation: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Log-probabilities of the class (B,K) and of the bin (B,60) of one window."""
+        scores, view = self.head.look(self.describe(points))
+        scores = full_precision(scores)
+        share = self.share.expand(len(scores), -1, -1)
+        if self.refine and not self.training:
+            scores, share = self._refined(scores, share, view)
+        joint = _log_joint(scores)
+        # The floor keeps the logarithm finite where every pose of a bin has underflowed.
+        of_poses = joint.logsumexp(2).exp()[:, None]
+        bins = (of_poses @ share.to(joint.dtype))[:, 0].clamp_min(1e-30).log()
+        if rotation is None:
+            return joint.logsumexp(1), bins
+        entries = wigner_entries(rotation[:, None].to(scores.device), self.head.lmax)
+        under = full_precision(self.head.scores(view, entries))[:, 0]
+        return under - scores.flatten(1).logsumexp(1, keepdim=True), bins
+
+    def _refined(self, scores: Tensor, share: Tensor, view: View) -> tuple[Tensor, Tensor]:
+        """Scores (B,P,K) and shares (B,P,60) with the likeliest poses moved to where they climb."""
+        best = scores.logsumexp(2).topk(min(REFINED, scores.shape[1]), dim=1).indices
+        begin = self.poses[best].unflatten(-1, (3, 3)).to(scores.dtype)
+        rotation, climbed = climb(self.head, view, begin, self.refine)
+        scores = scores.scatter(1, best[..., None].expand_as(climbed), full_precision(climbed))
+        bins = self.poses[:NUM_BINS].to(rotation.dtype)
+        nearest = one_hot((rotation.flatten(2) @ bins.T).argmax(2), NUM_BINS).to(share.dtype)
+        return scores, share.scatter(1, best[..., None].expand_as(nearest), nearest)
 
     def training_loss(self, batch: Batch) -> Tensor:
         """CE of the class + λ·CE of (soft pose, class), a scalar."""
@@ -119,7 +174,7 @@ class PAPNetSteeredNoPose(nn.Module):
 
     Args:
         num_classes: K.
-        lmax, channels, width, k: as of ``PAPNetSteered``.
+        lmax, channels, width, k, ray, scales, votes: as of ``PAPNetSteered``.
     """
 
     def __init__(
@@ -130,16 +185,26 @@ class PAPNetSteeredNoPose(nn.Module):
         channels: int = 96,
         width: int = 128,
         k: int = 16,
+        ray: bool = False,
+        scales: int = 1,
+        votes: int = 1,
     ) -> None:
         super().__init__()
-        _check(lmax, channels, width, k)
-        self.describe = Describe(lmax, channels, width, k)
+        _check(lmax, channels, width, k, scales, votes)
+        self.votes = votes
+        self.describe = Describe(lmax, channels, width, k, scales, ray)
         budget = num_joint_weights(channels, width, lmax, HIDDEN)
         self.head = InvariantHead(channels, width, lmax, TWIN_HIDDEN, num_classes, budget)
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        return Prediction(self.head(self.describe(points)))
+        if self.training or self.votes == 1:
+            return Prediction(self.head(self.describe(points)))
+        answers = [
+            full_precision(self.head(self.describe(each))).log_softmax(1)
+            for each in windows(points, self.votes)
+        ]
+        return Prediction(torch.stack(answers).logsumexp(0) - math.log(self.votes))
 
     def training_loss(self, batch: Batch) -> Tensor:
         """CE of the class, a scalar."""
@@ -147,14 +212,27 @@ class PAPNetSteeredNoPose(nn.Module):
         return cross_entropy(full_precision(logits), batch.label)
 
 
+def windows(points: Tensor, votes: int) -> list[Tensor]:
+    """``votes`` ≥ 2 windows (B,n,3) of clouds (B,N,3), each without another N/votes of the points.
+
+    Which those are the stored order says, which is random: the votes depend on it.
+    """
+    part = torch.arange(points.shape[1], device=points.device) % votes
+    return [points[:, part != left_out] for left_out in range(votes)]
+
+
 def _log_joint(scores: Tensor) -> Tensor:
     """(B,P,K) scores → log-probabilities over all P·K."""
     return full_precision(scores).flatten(1).log_softmax(1).view_as(scores)
 
 
-def _check(lmax: int, channels: int, width: int, k: int) -> None:
+def _check(lmax: int, channels: int, width: int, k: int, scales: int, votes: int) -> None:
     if not 1 <= lmax <= 3:
         raise InputError(f"lmax must be 1, 2 or 3, got {lmax}")
     for name, value in (("channels", channels), ("width", width), ("k", k)):
         if value < 8:
             raise InputError(f"{name} must be at least 8, got {value}")
+    if scales not in (1, 2):
+        raise InputError(f"scales must be 1 or 2, got {scales}")
+    if votes < 1:
+        raise InputError(f"votes must be at least 1, got {votes}")

@@ -25,6 +25,7 @@ class Clouds(Protocol):
     digest: str
     num_points: int
     has_poses: bool
+    has_normals: bool
 
     def __len__(self) -> int: ...
 
@@ -34,3 +35,10 @@ class Clouds(Protocol):
         rng: np.random.Generator | None = None,
         distinct: bool = False,
     ) -> NDArray[np.float32]: ...
+
+    def points_and_normals(
+        self,
+        indices: NDArray | list[int],
+        rng: np.random.Generator | None = None,
+        distinct: bool = False,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...

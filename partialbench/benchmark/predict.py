@@ -11,6 +11,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from partialbench import user_code
+from partialbench.benchmark import inputs
 from partialbench.benchmark.captures import captures, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
@@ -89,6 +90,11 @@ class Classifier:
         self.content = checkpoint.load(path)
         checkpoint.require_finished(self.content, path, "classify")
         self.model = checkpoint.build_model(self.content, model).to(self.device)
+        if inputs.needs_normals(self.model):
+            raise InputError(
+                f"{path} holds a {self.content['model']!r}, which takes normals; captures are read "
+                f"without, so give a checkpoint of a model that takes points alone"
+            )
         if changed := checkpoint.changed_code(self.content, model):
             log.warning("%s: %s", path, changed)
 

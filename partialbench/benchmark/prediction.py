@@ -33,11 +33,15 @@ class Batch(NamedTuple):
     Attributes:
         points: (B,N,3) float32, camera frame.
         label: (B,) int64.
-        rotation: (B,3,3) float32 object → camera, after augmentation.
+        rotation: (B,3,3) float32 object → camera, after augmentation; NaN where nobody knows the
+            poses, so that no loss is made of them in silence.
         mapped_rotation: (B,3,3) float32, ``rotation`` under the class's symmetry Map.
+        normals: (B,N,3) float32 unit, camera frame, turned as the points are; None unless the model
+            takes them.
     """
 
     points: Tensor
     label: Tensor
     rotation: Tensor
     mapped_rotation: Tensor
+    normals: Tensor | None = None

@@ -12,7 +12,7 @@ import numpy as np
 from lightning.fabric import Fabric
 
 from partialbench import registry, user_code
-from partialbench.benchmark import models, preflight
+from partialbench.benchmark import inputs, models, preflight
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.environment import precision_of
 from partialbench.benchmark.fabric import make_fabric
@@ -92,7 +92,8 @@ def run_eval(
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
         test_points: test on clouds of so many points too, beside the number trained on.
         test_poses: test with the pose given too, see ``given_pose.parse``: "0" or 0 for the true
-            one, "15" with noise, "random". Only for a model that takes one.
+            one, "15" with noise, "class:0" under each class's own symmetry, "random". Only for a
+            model that takes one.
         test_damages: test on damaged clouds too, see ``damage.parse``: "jitter:3", "all".
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
@@ -154,9 +155,14 @@ def run_eval(
     train_set = ShardDataset(data, "train", followed.num_points)
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
     _say_odd_classes(train_set, test_sets[0])
+    if inputs.NORMALS in card.inputs:
+        for part in (train_set, *test_sets):
+            inputs.require(part, model)
     if poses:  # before a training that could not be tested so
         fresh = models.create(model, len(train_set.class_names), chosen)
-        testing.try_given_pose(model, fresh, test_sets[0], poses[0], len(train_set.class_names))
+        for pose in poses:
+            for test_set in test_sets:
+                testing.try_given_pose(model, fresh, test_set, pose, train_set.class_names)
 
     written = []
     start = None if start_from is None else finetune.load(start_from, model)
@@ -282,9 +288,13 @@ def _test_checkpoint(
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
+    if inputs.needs_normals(model):
+        for part in test_sets:
+            inputs.require(part, model_name)
     if test_poses:
-        classes = len(content["class_names"])
-        testing.try_given_pose(model_name, model, test_sets[0], test_poses[0], classes)
+        for pose in test_poses:
+            for test_set in test_sets:
+                testing.try_given_pose(model_name, model, test_set, pose, content["class_names"])
     written = []
     if fabric.is_global_zero:
         written = testing.run_tests(

@@ -2,11 +2,11 @@
 
 import sys
 
-from partialbench.user_code import current_folder_last
+from partialbench.search_path import current_folder_last
 
-# Run as ``python -m partialbench.cli``, the current folder comes first on the path: a user's
+# Run by ``python -m`` or ``-c``, the current folder comes first on the path: a user's
 # random.py there would be imported by all that follows here.
-if sys.argv[:1] == ["-m"]:
+if sys.argv[:1] in (["-m"], ["-c"]):
     current_folder_last()
 
 from partialbench.cli.main import app, main

@@ -96,7 +96,8 @@ def evaluate(
         list[str] | None,
         typer.Option(
             help="test with the pose given too: 0 for the true one, 15 for that with noise of ±15° "
-            "on every Euler angle, random (repeatable)"
+            "on every Euler angle, class:0 for the true one under each class's own symmetry, "
+            "random (repeatable)"
         ),
     ] = None,
     test_damage: Annotated[

@@ -11,6 +11,7 @@ import typer
 from partialbench import registry
 from partialbench.benchmark import preflight
 from partialbench.console import continued_by, stderr
+from partialbench.progress import counting_bar
 
 commands = typer.Typer()
 
@@ -26,11 +27,16 @@ def leaderboard(
     data: Annotated[
         list[Path] | None, typer.Option(help="data folders, for the clouds of the page's gallery")
     ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="write figures too, as SVG and PNG")
+    ] = False,
 ) -> None:
-    """Make tables, figures and page anew from the records."""
+    """Make page and tables anew from the records."""
     preflight.check_output(out, "--out")
-    for path in registry.load(registry.LEADERBOARD)(results, out, check, tuple(data or ())):
-        print(path)
+    page, *_ = registry.load(registry.LEADERBOARD)(
+        results, out, check, tuple(data or ()), figures, counting_bar(stderr, "leaderboard")
+    )
+    print(page)
 
 
 @commands.command()

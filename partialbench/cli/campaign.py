@@ -41,8 +41,10 @@ def run_missing(
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     only: Annotated[
-        str | None,
-        typer.Option(help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds'"),
+        list[str] | None,
+        typer.Option(
+            help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds' (repeatable)"
+        ),
     ] = None,
     time_limit: Annotated[
         str | None,
@@ -65,7 +67,7 @@ def run_missing(
 
     with continued_by("the same command"):
         found = run(
-            load(file), jobs=jobs, device=device, only=only,
+            load(file), jobs=jobs, device=device, only=only or (),
             time_limit_s=None if time_limit is None else seconds(time_limit),
             scheduler=scheduler, retry_failed=retry_failed,
             say=lambda text: stderr.print(text, markup=False),

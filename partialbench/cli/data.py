@@ -70,7 +70,7 @@ def render(
     sensor: Annotated[
         str | None,
         typer.Option(
-            help="ideal; depth noise of kinect-v1 or tof; or rendered active stereo, stereo-d415 or "
+            help="ideal; depth noise of kinect-v1 or tof; or active stereo, rendered: stereo-d415, "
             "stereo-kinect-v1; with :STRENGTH [ideal; rooms are scanned with kinect-v1]"
         ),
     ] = None,
@@ -99,7 +99,9 @@ def render(
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
     ] = False,
-    up: Annotated[str | None, typer.Option(help="the files' up axis, z or y [z]")] = None,
+    up: Annotated[
+        str | None, typer.Option(help="the files' up axis, z or y [z; modelnet40_ply_hdf5_2048: y]")
+    ] = None,
     scannet: Annotated[Path | None, typer.Option(help="ps15: folder of ScanNet scans")] = None,
     scan2cad: Annotated[Path | None, typer.Option(help="ps15: full_annotations.json")] = None,
     rooms: Annotated[int | None, typer.Option(help="ps15: how many rooms to simulate")] = None,
@@ -147,6 +149,7 @@ def render(
 ) -> None:
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
     from partialbench.dataset.card import paper_rows
+    from partialbench.dataset.objects import notice_lines
     from partialbench.dataset.render import plan_render
     from partialbench.progress import counting_bar
 
@@ -172,7 +175,7 @@ def render(
         on_scene=listed,
         setting=setting.value,
         views=views,
-        splits=tuple(dict.fromkeys(split)) if split else None,
+        splits=tuple(split) if split else None,
         objects_per_class=objects_per_class,
         points=points,
         min_visible=min_visible,
@@ -183,6 +186,8 @@ def render(
     if listing := getattr(plan.job.source, "listing", ""):
         stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
     manifest = _build(plan, workers, scheduler, retry_failed)
+    for line in notice_lines(out):
+        stderr.print(f"note: {line}", markup=False, soft_wrap=True)
     kinds = Counter(f["kind"] for f in manifest.failures)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
     print_result(

@@ -17,6 +17,7 @@ from partialbench import __version__, user_code
 from partialbench.cli import benchmark, board, campaign, data
 from partialbench.console import prepare_streams, quiet_libraries, stderr
 from partialbench.errors import PartialbenchError
+from partialbench.search_path import current_folder_last
 
 app = typer.Typer(
     name="partialbench",
@@ -53,7 +54,7 @@ def main() -> None:
     """Entry point: turns expected errors into one line on stderr and an exit status."""
     prepare_streams()
     # A user's own model lives in the folder they stand in, and stands in for nothing of ours.
-    user_code.current_folder_last()
+    current_folder_last()
     user_code.ours_first()
     try:
         app()

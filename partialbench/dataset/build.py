@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import pickle
-from collections import deque
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,13 @@ from typing import Any
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset import objects as tables
 from partialbench.dataset.card import write_card
-from partialbench.dataset.executors import process_pool, worker_deaths
+from partialbench.dataset.executors import process_pool
+from partialbench.dataset.in_order import run_in_order
 from partialbench.dataset.lock import FILES as LOCK_FILES
 from partialbench.dataset.lock import sole_user
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.names import printable
-from partialbench.dataset.rows import Job, ObjectRows, failure_record, run_pickled
+from partialbench.dataset.rows import Job, ObjectRows
 from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.shards import (
     TEMPORARY_SUFFIX,
@@ -36,9 +36,6 @@ from partialbench.dataset.shards import (
 )
 from partialbench.dataset.sources import ObjectRef
 from partialbench.errors import InputError, PartialbenchError
-
-# Results waiting for an earlier, slower object; bounds memory and keeps every worker busy.
-IN_FLIGHT_PER_WORKER = 8
 
 
 @dataclass(frozen=True)
@@ -294,65 +291,6 @@ def _build_missing(
             manifest.save(plan.out)
 
 
-def run_in_order(
-    payload: bytes, refs: list[ObjectRef], make_executor: Callable[[], Executor], workers: int
-) -> Generator[ObjectRows, None, None]:
-    """Rows of each object in the order of ``refs``, with a bounded number in flight.
-
-    An object whose worker process dies (a crash in native code, out of memory) is tried once more
-    alone in a fresh executor; if that dies too, it is recorded as failed and the run goes on.
-    """
-    waiting: deque[tuple[ObjectRef, Future[ObjectRows]]] = deque()
-    upcoming = iter(refs)
-    executor = make_executor()
-    try:
-        while True:
-            while len(waiting) < IN_FLIGHT_PER_WORKER * workers:
-                ref = next(upcoming, None)
-                if ref is None:
-                    break
-                waiting.append((ref, _submit(executor, payload, ref)))
-            if not waiting:
-                return
-            ref, future = waiting.popleft()
-            try:
-                yield future.result()
-            except worker_deaths():
-                executor.shutdown(wait=False, cancel_futures=True)
-                yield _alone(payload, ref, make_executor)
-                executor = make_executor()
-                waiting = deque(
-                    (r, f if _succeeded(f) else _submit(executor, payload, r)) for r, f in waiting
-                )
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
-
-
-def _submit(executor: Executor, payload: bytes, ref: ObjectRef) -> Future[ObjectRows]:
-    try:
-        return executor.submit(run_pickled, payload, ref)
-    except BrokenExecutor as error:
-        # The pool broke between two submissions; whoever asks for the result handles it.
-        broken: Future[ObjectRows] = Future()
-        broken.set_exception(error)
-        return broken
-
-
-def _succeeded(future: Future[ObjectRows]) -> bool:
-    return future.done() and not future.cancelled() and future.exception() is None
-
-
-def _alone(payload: bytes, ref: ObjectRef, make_executor: Callable[[], Executor]) -> ObjectRows:
-    executor = make_executor()
-    try:
-        return _submit(executor, payload, ref).result()
-    except worker_deaths():
-        reason = "the worker process died while working on it (a crash or out of memory)"
-        return ObjectRows(ref.object_id, None, failures=[failure_record(ref, reason)])
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
-
-
 def _write_shard(
     plan: BuildPlan,
     manifest: Manifest,
@@ -372,10 +310,11 @@ def _write_shard(
     columns = concatenate([result.columns for result in kept if result.columns is not None])
     table[name] = tables.as_text(
         tables.ObjectLine(
-            split, name, tables.stored_id(r.object_id).decode(), r.object_id, r.source_sha256
+            split, name, tables.stored_id(r.object_id).decode(), r.object_id, r.source_sha256,
+            r.notices,
         )
         for r in kept
-    )
+    )  # fmt: skip
     attributes: dict[str, str | int] = {
         "dataset_id": manifest.dataset_id,
         "configuration_digest": manifest.configuration_digest,

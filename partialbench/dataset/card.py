@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from partialbench.dataset.manifest import Manifest
+from partialbench.dataset.objects import notice_lines
 from partialbench.dataset.schema import as_markdown
 from partialbench.dataset.shards import read_columns, write_atomically
 
@@ -76,6 +77,7 @@ def card_text(folder: Path, manifest: Manifest) -> str:
         "(`failures.jsonl` has the reasons).",
         "",
         *visibility_lines(manifest),
+        *_noticed(folder),
         "## Fields of a row",
         "",
         "Camera frame: x right, y down, z forward. Object frame: z up, unit ball, bounding-box "
@@ -96,6 +98,14 @@ def card_text(folder: Path, manifest: Manifest) -> str:
         "",
     ]
     return "\n".join(lines)
+
+
+def _noticed(folder: Path) -> list[str]:
+    """What reading the objects' files brought to light; nothing where nothing did."""
+    lines = notice_lines(folder)
+    if not lines:
+        return []
+    return ["Noticed in the files (`objects.jsonl` has each):", "", *(f"- {x}" for x in lines), ""]
 
 
 def visibility_lines(manifest: Manifest) -> list[str]:

@@ -77,5 +77,5 @@ def _require(data: Any, kinds: dict[str, type], where: str, prefix: str) -> None
             raise InputError(
                 f"{where} is damaged: {prefix}{name} is {value!r:.80}, expected {kind.__name__}"
             )
-        if kind is int and value < 0:
+        if isinstance(value, int) and value < 0:
             raise InputError(f"{where} is damaged: {prefix}{name} is {value}, below 0")

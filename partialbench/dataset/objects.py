@@ -9,16 +9,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from partialbench.dataset.names import printable
 from partialbench.dataset.schema import OBJECT_ID_BYTES
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
 NAME = "objects.jsonl"
 _HASH_DIGITS = 16
+_NUMBER = re.compile(r"\d+(?:[.,]\d+)*(?:e[+-]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class ObjectLine:
         object_id: as in the rows.
         name: the source's whole name for it, of any length.
         source_sha256: digest of the bytes it was made from.
+        notices: what else its file holds and what became of it, a sentence each.
     """
 
     split: str
@@ -37,6 +42,7 @@ class ObjectLine:
     object_id: str
     name: str
     source_sha256: str
+    notices: Sequence[str] = ()
 
 
 def stored_id(name: str) -> bytes:
@@ -94,9 +100,35 @@ def parse(text: str, where: Path) -> list[ObjectLine]:
     except (ValueError, TypeError) as error:
         raise InputError(f"{where} is damaged ({type(error).__name__}: {error})") from error
     for line in lines:
-        if not all(isinstance(value, str) for value in asdict(line).values()):
+        *texts, notices = asdict(line).values()
+        if not (isinstance(notices, list | tuple) and _are_text([*texts, *notices])):
             raise InputError(f"{where} is damaged: {line} holds something that is no text")
     return lines
+
+
+def _are_text(values: Iterable[object]) -> bool:
+    return all(isinstance(value, str) for value in values)
+
+
+def notice_lines(folder: Path) -> list[str]:
+    """What the sources said of a folder's objects, alike sentences together, the commonest first.
+
+    As "12 objects (the first: mug/a): 3 lines are no surface and were left out". Sentences are
+    alike where they differ in their numbers only; the first object's stands for all.
+    """
+    kinds: dict[str, tuple[str, str]] = {}
+    times: Counter[str] = Counter()
+    for text in load(folder).values():
+        for line in parse(text, folder / NAME):
+            for notice in line.notices:
+                kind = _NUMBER.sub("n", notice)
+                kinds.setdefault(kind, (line.object_id, notice))
+                times[kind] += 1
+    return [
+        f"{count:,} object{'s' if count > 1 else ''} (the first: {printable(kinds[kind][0])}): "
+        f"{kinds[kind][1]}"
+        for kind, count in times.most_common()
+    ]
 
 
 def save(folder: Path, texts: Iterable[str]) -> None:

@@ -76,6 +76,7 @@ class ObjectRows:
         depth: the rows' depth images where they are kept, already packed.
         source_sha256: digest of what it was made from, "" when it could not be read.
         failures: JSON records of what gave no row.
+        notices: what the source says of the object's file, such as lines that were left out.
     """
 
     object_id: str
@@ -83,6 +84,7 @@ class ObjectRows:
     source_sha256: str = ""
     failures: list[dict[str, Any]] = field(default_factory=list)
     depth: PackedImages | None = None
+    notices: tuple[str, ...] = ()
 
 
 def make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
@@ -125,7 +127,8 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
-                 "location": printable(ref.location), "reason": view.reason, "details": view.details}
+                 "location": printable(ref.location), "reason": view.reason,
+                 "details": view.details}
             )  # fmt: skip
             continue
         chosen = draw(len(view.points), job.points, generator(job.seed, *key, v, "draw"))
@@ -139,6 +142,7 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
         job.source.digest(ref),
         failures,
         PackedImages(image_shape, images) if images else None,
+        tuple(getattr(shape, "metadata", {}).get("notices", ())),
     )
 
 

@@ -166,11 +166,24 @@ def file_sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def open_hdf5(path: Path) -> h5py.File:
+    """The file opened for reading, locked if its file system has locks; ``OSError`` as h5py's.
+
+    Not without a lock at once: HDF5 refuses to open a file in two ways in one process, and a
+    user's own code may have it open.
+    """
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        if "unable to lock file" not in str(error):
+            raise
+        return h5py.File(path, "r", locking=False)
+
+
 def open_shard(path: Path) -> h5py.File:
     """The file opened for reading; ``InputError`` when it is not a shard of a known version."""
     try:
-        # Shards are whole under their name; some file systems have no locks to ask for.
-        file = h5py.File(path, "r", locking=False)
+        file = open_hdf5(path)
     except OSError as error:
         raise InputError(f"{path} is not a readable HDF5 file: {error}") from error
     name, version = file.attrs.get("format"), file.attrs.get("format_version")

@@ -1,15 +1,18 @@
 """``partialbench show``: a page of samples that a person can judge, as PNG or interactive HTML.
 
-Each cloud is drawn as its camera sees it (x right, y down), coloured by depth, near bright, with
-the object's canonical axes (x red, y green, z blue) and the visible fraction in its title.
+Each sample twice: as its camera sees it (the depth image, x right, y down, near bright), and from
+the side (the cloud, fainter the whole object where its source is at hand, the camera, and the
+object's canonical axes: x red, y green, z blue). Picture and page show the same view.
 """
 
 from __future__ import annotations
 
+import base64
 import html
 import io
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +22,19 @@ if TYPE_CHECKING:
 
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.names import printable
+from partialbench.dataset.samples import PITCH, YAW, Scene, packed, projected, scenes
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.shards import make_folder, write_atomically
 from partialbench.errors import InputError
 
 AXIS_COLOURS = {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"}
+POINTS = 1024
+"""Of a cloud, at most."""
+WHOLE_POINTS = 400
+IMAGE = 96
+"""Pixels of a depth image's longer side on a page, at most."""
+_SPLAT = 40
+"""Pixels of a depth image that is made of a cloud: few enough for a thousand points to fill."""
 
 
 def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed: int = 0) -> Path:
@@ -42,13 +53,11 @@ def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed:
     if out.suffix.lower() not in (".png", ".html"):
         raise InputError(f"--out {out} must end in .png (a picture) or .html (to turn by hand)")
     data = ShardDataset(folder, split, num_points=1)
-    data = ShardDataset(folder, split, num_points=data.manifest.configuration["points"])
+    stored: int = data.manifest.configuration["points"]
+    data = ShardDataset(folder, split, num_points=min(POINTS, stored))
     rows = choose_rows(data.labels, samples, seed)
     make_folder(out.parent)
-    if out.suffix.lower() == ".png":
-        _write_png(data, rows, out)
-    else:
-        _write_html(data, rows, out)
+    write_atomically(out, _png(data, rows) if out.suffix.lower() == ".png" else _page(data, rows))
     return out
 
 
@@ -68,31 +77,50 @@ def choose_rows(labels: NDArray, samples: int, seed: int) -> NDArray[np.int64]:
     return chosen[np.argsort(labels[chosen], kind="stable")]
 
 
-def _write_png(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
+def _png(data: ShardDataset, rows: NDArray[np.int64]) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = min(6, len(rows))
+    columns = min(4, len(rows))
     lines = -(-len(rows) // columns)
-    figure = Figure(figsize=(2.3 * columns, 2.55 * lines + 0.5), dpi=120)
+    figure = Figure(figsize=(3.9 * columns, 2.35 * lines + 0.5), dpi=110)
     FigureCanvasAgg(figure)
-    figure.suptitle(f"{data.dataset_id} · {data.split} · {data.setting}", fontsize=11)
-    for n, (row, cloud) in enumerate(zip(rows, data.points(rows), strict=True)):
-        axes = figure.add_subplot(lines, columns, n + 1)
-        far_first = np.argsort(-cloud[:, 2])
-        x, y = picture(cloud, data.translations[row])[far_first].T
-        axes.scatter(x, y, c=-cloud[far_first, 2], s=1.5, cmap="viridis", lw=0)
-        _draw_axes(axes, data.rotations[row])
+    figure.suptitle(_heading(data), fontsize=11, parse_math=False)
+    pairs = zip(rows, scenes(data, rows.tolist(), WHOLE_POINTS), strict=True)
+    for n, (row, scene) in enumerate(pairs):
+        seen = figure.add_subplot(lines, 2 * columns, 2 * n + 1)
+        seen.imshow(_depth_image(data, row))
+        seen.axis("off")
+        axes = figure.add_subplot(lines, 2 * columns, 2 * n + 2)
+        _draw(axes, scene)
         # A name may have signs that are mathematics to Matplotlib.
         axes.set_title(_title(data, row, "\n"), fontsize=6.5, parse_math=False)
-        axes.set_aspect("equal")
-        axes.set_xlim(-1.3, 1.3)
-        axes.set_ylim(1.3, -1.3)  # y points down
-        axes.axis("off")
     figure.tight_layout(rect=(0, 0, 1, 0.97))
     page = io.BytesIO()
     figure.savefig(page, format="png")
-    write_atomically(out, page.getvalue())
+    return page.getvalue()
+
+
+def _draw(axes: Axes, scene: Scene) -> None:
+    """The scene from the side; the nearer the brighter, as on the page."""
+    for cloud, size, colour, alpha in (
+        (scene.whole, 1.5, "#55606c", 0.45), (scene.points, 3.0, "#1f5fa8", 1.0),
+    ):  # fmt: skip
+        if not len(cloud):
+            continue
+        placed = projected(cloud)
+        far_first = placed[np.argsort(-placed[:, 2])]
+        nearness = alpha * (0.75 - 0.25 * far_first[:, 2].clip(-1, 1))
+        axes.scatter(*far_first[:, :2].T, s=size, c=colour, alpha=nearness, lw=0)
+    for direction, colour in zip(scene.axes, AXIS_COLOURS.values(), strict=True):
+        tip = projected(0.8 * direction)
+        axes.plot([0, tip[0]], [0, tip[1]], color=colour, lw=1.6)
+    for segment in scene.camera:
+        axes.plot(*projected(segment)[:, :2].T, color="#55606c", lw=0.8)
+    axes.set_aspect("equal")
+    axes.set_xlim(-1.3, 1.3)
+    axes.set_ylim(1.3, -1.3)  # y points down
+    axes.axis("off")
 
 
 def picture(cloud: NDArray, centre: NDArray) -> NDArray:
@@ -106,6 +134,44 @@ def picture(cloud: NDArray, centre: NDArray) -> NDArray:
     return (cloud[:, :2] / cloud[:, 2:] - centre[:2] / centre[2]) * centre[2]
 
 
+def _depth_image(data: ShardDataset, row: int) -> NDArray[np.float64]:
+    """(H,W,4) colours in [0, 1], nothing where there is no surface.
+
+    Where the folder has no depth images it is made of the row's points, coarser.
+    """
+    from matplotlib import colormaps
+
+    if data.has_depth:
+        depth = data.depth([row])[0].astype(float)
+        depth = depth[:: -(-depth.shape[0] // IMAGE), :: -(-depth.shape[1] // IMAGE)]
+    else:
+        depth = splat(data.points([row])[0], data.translations[row])
+    surface = depth > 0
+    near, far = (depth[surface].min(), depth[surface].max()) if surface.any() else (0.0, 1.0)
+    colours: NDArray[np.float64] = colormaps["viridis"]((far - depth) / max(far - near, 1e-9))
+    colours[~surface] = 0
+    return colours
+
+
+def splat(cloud: NDArray, centre: NDArray) -> NDArray[np.float64]:
+    """(S,S) z-depth of the nearest point (n,3) in each pixel, 0 for none.
+
+    A cloud without a camera in front of it is seen from afar along z, its depths made positive.
+    """
+    depth = cloud[:, 2].astype(float)
+    depth = depth if depth.min() > 0 else depth - depth.min() + 1
+    seen = picture(cloud, centre)
+    places = (seen / (2.1 * max(1.0, float(np.abs(seen).max()))) + 0.5) * _SPLAT
+    column, line = np.clip(places.astype(int), 0, _SPLAT - 1).T
+    image = np.full((_SPLAT, _SPLAT), np.inf)
+    np.minimum.at(image, (line, column), depth)
+    return np.where(np.isfinite(image), image, 0.0)
+
+
+def _heading(data: ShardDataset) -> str:
+    return f"{data.dataset_id} · {data.split} · {data.setting}"
+
+
 def _title(data: ShardDataset, row: int, after_class: str) -> str:
     """Class, object and the share that is seen, where it is known."""
     share = data.visible_fraction[row]
@@ -114,57 +180,39 @@ def _title(data: ShardDataset, row: int, after_class: str) -> str:
     return f"{printable(category)}{after_class}{printable(name)}{seen}"
 
 
-def _draw_axes(axes: Axes, rotation: NDArray, length: float = 0.3) -> None:
-    """The object's canonical axes in the lower left corner, foreshortened as in the picture."""
-    corner = np.array([-0.95, 0.95])
-    for direction, colour in zip(rotation.T, AXIS_COLOURS.values(), strict=True):
-        tip = direction[:2] * length
-        axes.annotate(
-            "",
-            tuple(corner + tip),
-            tuple(corner),
-            arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.2},
-        )
+def _page(data: ShardDataset, rows: NDArray[np.int64]) -> bytes:
+    samples = [
+        {
+            "title": _title(data, row, " · "),
+            "depth": _data_url(_depth_image(data, row)),
+            "points": packed(scene.points),
+            "whole": packed(scene.whole),
+            "axes": np.round(scene.axes, 3).tolist(),
+            "camera": np.round(scene.camera, 3).tolist(),
+        }
+        for row, scene in zip(rows, scenes(data, rows.tolist(), WHOLE_POINTS), strict=True)
+    ]
+    return page_of(_heading(data), samples).encode()
 
 
-def _write_html(data: ShardDataset, rows: NDArray[np.int64], out: Path) -> None:
-    import plotly.graph_objects as go
-    from plotly.subplots import make_subplots
+def _data_url(colours: NDArray) -> str:
+    from matplotlib import image
 
-    columns = min(4, len(rows))
-    lines = -(-len(rows) // columns)
-    titles = [html.escape(_title(data, row, " · "), quote=False) for row in rows]
-    figure = make_subplots(
-        lines, columns, specs=[[{"type": "scene"}] * columns] * lines, subplot_titles=titles,
-        horizontal_spacing=0.01, vertical_spacing=0.4 / lines / 4,
-    )  # fmt: skip
-    for n, (row, cloud) in enumerate(zip(rows, data.points(rows), strict=True)):
-        place = {"row": n // columns + 1, "col": n % columns + 1}
-        centred = cloud - cloud.mean(0)
-        x, y, z = np.round(centred, 3).T
-        marker = {"size": 1.6, "color": np.round(-cloud[:, 2], 3), "colorscale": "Viridis"}
-        figure.add_trace(
-            go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=marker, hoverinfo="skip"), **place
-        )
-        for direction, (axis, colour) in zip(
-            data.rotations[row].T, AXIS_COLOURS.items(), strict=True
-        ):
-            tip = direction * 0.6
-            figure.add_trace(
-                go.Scatter3d(
-                    x=[0, tip[0]], y=[0, tip[1]], z=[0, tip[2]], mode="lines+text",
-                    text=["", axis], line={"color": colour, "width": 4}, hoverinfo="skip",
-                ),
-                **place,
-            )  # fmt: skip
-    # Seen from the camera: looking along +z, y down.
-    view = {"eye": {"x": 0, "y": 0, "z": -1.8}, "up": {"x": 0, "y": -1, "z": 0}}
-    hidden = {"visible": False}
-    figure.update_scenes(camera=view, aspectmode="data", xaxis=hidden, yaxis=hidden, zaxis=hidden)
-    figure.update_annotations(font_size=11)
-    figure.update_layout(
-        title=f"{data.dataset_id} · {data.split} · {data.setting}: drag to turn",
-        height=300 * lines + 80, showlegend=False, margin={"l": 8, "r": 8, "t": 70, "b": 8},
-    )  # fmt: skip
-    page = figure.to_html(include_plotlyjs=True, full_html=True, div_id="samples")
-    write_atomically(out, page.encode())
+    buffer = io.BytesIO()
+    image.imsave(buffer, colours, format="png", metadata={"Software": None})
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def page_of(heading: str, samples: list[dict[str, Any]]) -> str:
+    """The HTML page, one file; the samples' fields are what gallery.html reads."""
+    folder = Path(__file__).parent
+    script = (folder / "viewer.js").read_text(encoding="utf-8")
+    text = (folder / "gallery.html").read_text(encoding="utf-8")
+    # "</script" would end the element, whatever the quotes around it.
+    data = json.dumps(samples, separators=(",", ":")).replace("<", "\\u003c")
+    for mark, content in (
+        ("@HEADING@", html.escape(heading)), ("@VIEW@", f"{YAW} {PITCH}"),
+        ("@VIEWER@", script), ("@SAMPLES@", data),
+    ):  # fmt: skip
+        text = text.replace(mark, content)
+    return text

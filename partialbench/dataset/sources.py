@@ -141,7 +141,8 @@ class Source(Protocol):
 
     def load(self, ref: ObjectRef) -> Any:
         """The shape: a ``trimesh.Trimesh``, an (n,3) float32 cloud in the object frame, or an
-        ``OrientedCloud`` where the source has the cloud's normals.
+        ``OrientedCloud`` where the source has the cloud's normals. A mesh's ``metadata["notices"]``
+        is what a person should know of its file, a sentence each.
 
         Normalised: bounding-box centre at the origin, largest norm 1. Raises ``InputError`` when
         the file is not what it should be.

@@ -3,7 +3,7 @@
 Checked for every row: file digests, schema, row digests, finiteness, R ∈ SO(3), ranges, counts,
 uniqueness; that the cloud lies inside the unit ball when brought back to the object frame; that it
 projects into its image. For a sample of rows, where the source is at hand: that the points, brought
-back, lie on the source's surface.
+back, lie on the source's surface and have its normals (``surface_check``).
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -30,14 +29,13 @@ from partialbench.dataset.shards import (
     row_digests,
 )
 from partialbench.dataset.sources import Source
+from partialbench.dataset.surface_check import SurfaceCheck
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import is_rotation
 from partialbench.geometry.symmetry import GROUPS
 
 BALL_TOLERANCE = 1e-3
 """How far outside the unit ball a point may lie (object units)."""
-SURFACE_TOLERANCE = 1e-4
-"""How far off the source's surface an ideal sensor's point may lie (object units)."""
 UNIT_TOLERANCE = 1e-5
 """How far from 1 a normal's length may be, and how far beyond a right angle it may look away."""
 
@@ -95,7 +93,7 @@ def verify(
     table = _table(folder, manifest, report)
     digests: dict[str, list[NDArray]] = {}
     seen: dict[str, set[tuple[bytes, int]]] = {}
-    surface: list[NDArray] = []
+    surface = SurfaceCheck()
     written = [entry for entry in manifest.shards if entry.rows]
     for n, entry in enumerate(written):
         columns = _read_and_check(folder, manifest, entry, table, report)
@@ -109,7 +107,7 @@ def verify(
             earlier |= pairs
             if source is not None:
                 share = max(1, round(surface_rows * entry.rows / manifest.rows(entry.split)))
-                surface += _surface_distances(entry, columns, source, share, report)
+                surface.look(entry, columns, source, share)
         if on_progress:
             on_progress(n + 1, len(written))
     for split, recorded in manifest.digests.items():
@@ -118,7 +116,9 @@ def verify(
             report.problems.append(f"split {split!r}: rows do not hash to the recorded digest")
     if source is None:
         report.notes.append(f"surface not checked: {no_source}")
-    _judge_surface(manifest, surface, report)
+    report.problems += surface.problems(manifest)
+    report.notes += surface.notes(manifest)
+    report.surface = surface.distances()
     return report
 
 
@@ -353,56 +353,3 @@ def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
             inside = ((pixels > -margin) & (pixels < size + margin)).all(axis=(1, 2))
             require(inside, "points project outside the image")
     return problems
-
-
-def _surface_distances(
-    entry: ShardEntry, columns: Columns, source: Source, share: int, report: Report
-) -> list[NDArray]:
-    """Distance of 64 points of ``share`` rows to the source's surface, (64,) each."""
-    try:
-        refs = {tables.stored_id(ref.object_id): ref for ref in source.objects(entry.split)}
-    except InputError as error:
-        report.problems.append(f"{entry.file}: {error}")
-        return []
-    found = []
-    for row in np.unique(np.linspace(0, entry.rows - 1, share).astype(int)):
-        stored = bytes(columns["object_id"][row])
-        if stored not in refs:
-            name = stored.decode("utf-8", "backslashreplace")
-            report.problems.append(f"{entry.file}: the source has no object {name!r}")
-            continue
-        try:
-            # Sources of mesh files hold what they read against a count of their own.
-            shape = source.load(refs[stored])
-        except InputError as error:
-            report.problems.append(f"{entry.file}: row {row} has no source: {error}")
-            continue
-        R, t = columns["R_camera_object"][row], columns["t_camera_object"][row]
-        found.append(surface_distance(shape, (columns["points"][row][:64] - t) @ R))
-    return found
-
-
-def surface_distance(shape: Any, points: NDArray) -> NDArray[np.float64]:
-    """Distance of (n,3) object-frame points to a mesh's surface or to a cloud's points: (n,)."""
-    if hasattr(shape, "faces"):
-        from trimesh.proximity import closest_point
-
-        return closest_point(shape, points)[1]
-    from scipy.spatial import cKDTree
-
-    cloud = shape if isinstance(shape, np.ndarray) else shape.points
-    return cKDTree(cloud).query(points)[0]
-
-
-def _judge_surface(manifest: Manifest, surface: list[NDArray], report: Report) -> None:
-    if not surface:
-        return
-    distances = np.concatenate(surface)
-    report.surface = {"max": float(distances.max()), "mean": float(distances.mean())}
-    if manifest.sensor:
-        report.notes.append("the sensor is noisy: surface distances are reported, not judged")
-    elif distances.max() > SURFACE_TOLERANCE:
-        report.problems.append(
-            f"points lie up to {distances.max():.2g} object units off the source's surface "
-            f"(allowed: {SURFACE_TOLERANCE:g})"
-        )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.dataset.names import printable
+from partialbench.dataset.shards import open_hdf5
 from partialbench.dataset.sources import ObjectRef
 from partialbench.errors import InputError, parsing
 from renderers.sources.listing import SPLITS, Listing
@@ -34,8 +35,7 @@ class HdfFile:
         """This process's handle; ``InputError`` where it is no HDF5 file."""
         if self._opened is None or self._opened[0] != os.getpid():
             try:
-                # Nobody writes to it meanwhile, and some file systems have no locks.
-                self._opened = os.getpid(), h5py.File(self.path, "r", locking=False)
+                self._opened = os.getpid(), open_hdf5(self.path)
             except OSError as error:
                 raise InputError(f"{self.path} is not a readable HDF5 file: {error}") from error
         return self._opened[1]

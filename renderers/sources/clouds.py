@@ -39,13 +39,15 @@ class CompleteClouds:
     modelnet40_ply_hdf5_2048; or a folder or zip of files as ``cloud_files`` reads them, in any
     layout that ``layout`` understands. Files are read when asked for.
 
+    Its data set is pm40-clouds if it has all of ModelNet40's forty classes, aligned.
     Points that are there more than once count once, as files padded to a fixed size repeat some.
     Normalising again is not idle for stored clouds: a cloud sampled from a mesh with a stray vertex
     sits away from the centre of that mesh's box.
 
     Args:
         path: the file or the folder.
-        up: the files' upward axis, "z" or "y" (y is turned onto z).
+        up: the files' upward axis, "z" or "y" (y is turned onto z); by default "y" for
+            modelnet40_ply_hdf5_2048, which is published so, "z" for all others.
         aligned: whether all objects of a class face the same way, as pose labels need; by default
             yes for an HDF5 file of the first kind, no for all others.
 
@@ -56,16 +58,16 @@ class CompleteClouds:
     """
 
     def __init__(
-        self, path: str | PathLike[str], up: str = "z", aligned: bool | None = None
+        self, path: str | PathLike[str], up: str | None = None, aligned: bool | None = None
     ) -> None:
-        if up not in UPS:
+        if up not in (*UPS, None):
             raise InputError(f"up must be one of {', '.join(UPS)}, got {up!r}")
         path = Path(path)
         if not path.exists():
             raise InputError(f"{path} does not exist; expected an HDF5 file or a folder of clouds")
         self._store = _store(path)
         own = isinstance(self._store, HdfStore)
-        self.up = up
+        self.up = up or ("y" if isinstance(self._store, PlyHdf5Store) else "z")
         self.frame = "aligned" if (own if aligned is None else aligned) else "original"
         listed = self._store.listing
         self.class_names = listed.class_names
@@ -73,7 +75,8 @@ class CompleteClouds:
         self.listing = listed.words
         refs = [ref for split in listed.splits() for ref in listed.of(split)]
         present = {self.class_names[ref.label] for ref in refs}
-        self.name = "clouds" if present == set(MODELNET40) else "custom-clouds"
+        forty = present == set(MODELNET40) and self.frame == "aligned"
+        self.name = "clouds" if forty else "custom-clouds"
 
     def splits(self) -> tuple[str, ...]:
         """The splits that have objects."""
@@ -92,9 +95,9 @@ class CompleteClouds:
                 are padding or no measurement.
         """
         name = printable(ref.location)
-        points, normals = self._store.cloud(ref)
-        _require_no_padding(points, name)
-        points = normalise_cloud(self._turned(points), name)
+        stored, normals = self._store.cloud(ref)
+        _require_no_padding(stored, name)
+        points = normalise_cloud(self._turned(stored), name)
         _, first = np.unique(points, axis=0, return_index=True)
         first.sort()
         if normals is None:

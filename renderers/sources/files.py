@@ -96,13 +96,17 @@ class Archive:
 
     def names(self) -> list[str]:
         """As ``Files.names``."""
-        return sorted(
-            {
-                info.filename
-                for info in self._zip().infolist()
-                if not info.is_dir() and not any(map(_hidden, info.filename.split("/")))
-            }
-        )
+        return sorted(name for name in self._members() if not any(map(_hidden, name.split("/"))))
+
+    def _members(self) -> dict[str, str]:
+        """Path with "/" between parts → the member's own name.
+
+        Old .NET libraries write "\\" instead, which zip does not have.
+        """
+        names = [info.filename for info in self._zip().infolist() if not info.is_dir()]
+        if any("/" in name for name in names):
+            return {name: name for name in names}
+        return {name.replace("\\", "/"): name for name in names if not name.endswith("\\")}
 
     def read(self, name: str) -> bytes:
         """As ``Files.read``."""
@@ -111,13 +115,19 @@ class Archive:
     def head(self, name: str, size: int) -> bytes:
         """As ``Files.head``."""
         try:
-            with self._zip().open(name) as member:
+            with self._zip().open(self._own_name(name)) as member:
                 return member.read(size)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
             raise InputError(f"{self.path}: the member {name} is broken ({error})") from error
         except RuntimeError as error:
             # An encrypted member, or (NotImplementedError) a compression that this Python lacks.
             raise InputError(f"{self.path}: the member {name} cannot be read ({error})") from error
+
+    def _own_name(self, name: str) -> str:
+        try:
+            return self._zip().getinfo(name).filename
+        except KeyError:
+            return self._members().get(name, name)
 
     def _zip(self) -> zipfile.ZipFile:
         if self._opened is None or self._opened[0] != os.getpid():

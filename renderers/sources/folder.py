@@ -56,6 +56,7 @@ class MeshFolder:
             raise InputError(
                 f"{self.files} holds no meshes: looked for {', '.join(SUFFIXES)} as {EXPECTED} "
                 f"among {len(names)} files"
+                + (f"; {len(meshes)} of these formats lie otherwise" if meshes else "")
             )
         self._listed = found
         self.class_names = found.class_names

@@ -13,6 +13,7 @@ each below any number of folders that hold all of it. What is understood is said
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -21,10 +22,11 @@ from pathlib import PurePosixPath
 from partialbench.dataset.categories import MODELNET40
 
 SPLIT_NAMES = {
-    "train": "train", "training": "train", "test": "test", "testing": "test",
-    "val": "val", "valid": "val", "validation": "val",
+    "train": "train", "training": "train", "trainval": "train", "test": "test", "testing": "test",
+    "val": "val", "valid": "val", "validation": "val", "dev": "val",
 }  # fmt: skip
-"""Folder names in small letters → what they are."""
+"""Folder names in small letters, without "set" and the like behind them → what they are."""
+_BESIDE_SPLIT = re.compile(r"[ _.\-]+|(?:set|split|data)$")
 
 MAIN_FILES = (
     "model_normalized", "model", "textured", "nontextured", "scan", "mesh", "visual_geometry",
@@ -79,8 +81,8 @@ class Layout:
 
 
 def split_name(folder: str) -> str:
-    """The split that a folder's name says, "" for any other name."""
-    return SPLIT_NAMES.get(folder.casefold(), "")
+    """The split that a folder's name says ("Train", "test_set"), "" for any other name."""
+    return SPLIT_NAMES.get(_BESIDE_SPLIT.sub("", folder.casefold()), "")
 
 
 def understand(locations: Sequence[str]) -> Layout:
@@ -120,7 +122,26 @@ def understand(locations: Sequence[str]) -> Layout:
         found = [item for item in found if "<class>/" in item[-1]]
     _name_objects(found, layout)
     _settle_validation(layout)
+    layout.notes += _doubts({entry.category for entry in layout.entries})
     return layout
+
+
+def _doubts(categories: set[str]) -> list[str]:
+    """What looks like a mistake in the names of classes, for a person to judge."""
+    notes = [
+        f"{name!r} is taken for a class, though it is called as a split is"
+        for name in sorted(categories)
+        if split_name(name)
+    ]
+    alike = defaultdict(list)
+    for name in sorted(categories):
+        alike[unicodedata.normalize("NFC", name).casefold()].append(name)
+    return notes + [
+        f"{', '.join(map(ascii, names))} are a class each, though only capitals or the way an "
+        f"accent is written tell them apart"
+        for names in alike.values()
+        if len(names) > 1
+    ]
 
 
 def _class_level(folders: list[tuple[str, ...]], stems: list[str]) -> tuple[int, bool]:

@@ -107,22 +107,23 @@ def list_tree(files: Files, locations: list[str], suffixes: tuple[str, ...]) -> 
 def _add(
     listing: Listing, entry: Entry, category: str, taken: dict[tuple[str, str], Entry]
 ) -> None:
-    full = f"{entry.category}/{entry.name}"
+    # As it is shown: two names of bytes may be shown alike.
+    full = printable(f"{entry.category}/{entry.name}")
     split = entry.split or split_of(full)
     if earlier := taken.get((split, full)):
         if _bare(earlier.location) == _bare(entry.location):
             listing.rejected.append(
                 RejectedObject(
-                    printable(full), split, "another file gives an object of this name",
+                    full, split, "another file gives an object of this name",
                     entry.location, {"taken": earlier.location},
                 )
             )  # fmt: skip
             return
         # Another object of the same name, in another folder: its place tells them apart.
-        full = f"{entry.category}/{_bare(entry.location)}"
+        full = printable(f"{entry.category}/{_bare(entry.location)}")
     taken[split, full] = entry
     label = listing.class_names.index(category)
-    ref = ObjectRef(printable(full), label, split, entry.location)
+    ref = ObjectRef(full, label, split, entry.location)
     listing.objects.setdefault(split, []).append(ref)
 
 
@@ -131,7 +132,7 @@ def split_of(name: str) -> str:
 
     It depends on the name alone, so that adding or removing files moves no other.
     """
-    digest = hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()
+    digest = hashlib.sha256(name.encode()).digest()
     return "train" if int.from_bytes(digest[:8], "big") < TRAIN_SHARE * 2**64 else "test"
 
 
@@ -147,7 +148,8 @@ def _left_out(location: str, reason: str, failed: bool) -> RejectedObject:
 def _words(listing: Listing, present: list[str], layout: Layout) -> str:
     train, test = (len(listing.of(split)) for split in SPLITS)
     classes = f"{len(present)} class" + ("es" if len(present) > 1 else "")
-    text = f"{printable(layout.root + listing.pattern)}: {classes}, {train:,} training, {test:,} test objects"
+    where = printable(layout.root + listing.pattern)
+    text = f"{where}: {classes}, {train:,} training, {test:,} test objects"
     text = "; ".join([text, *map(printable, listing.notes)])
     out = [printable(location) for location, _ in layout.left_out]
     if out:

@@ -1,4 +1,4 @@
-"""Lists of names beside a tree that hold its official splits: ``modelnet40_train.txt`` and so on."""
+"""Lists of names beside a tree that are its official splits: ``modelnet40_train.txt``, say."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
         match = _LIST.fullmatch(PurePosixPath(name).name)
         if match is None or looks_like_points(files.head(name, _HEAD)):
             continue
-        folder = str(PurePosixPath(name).parent)
-        key = folder, (match["set"] or "").casefold()
-        lists = candidates.setdefault(key, _Lists("" if folder == "." else f"{folder}/"))
+        folder = _folder_of(name, entries)
+        key = str(PurePosixPath(name).parent), (match["set"] or "").casefold()
+        lists = candidates.setdefault(key, _Lists(folder))
         _match(lists, name, split_name(match["split"]), files.read(name), entries)
     best: dict[str, _Lists] = {}
     for lists in candidates.values():
@@ -71,6 +71,18 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
     if not best:
         return
     _use(list(best.values()), layout)
+
+
+def _folder_of(name: str, entries: list[Entry]) -> str:
+    """The folder whose objects a list names: its own, or the nearest above it that holds any.
+
+    ShapeNet's lists lie in a folder of their own beside the classes, ``train_test_split``.
+    """
+    folder = f"{PurePosixPath(name).parent}/".removeprefix("./")
+    while folder and not any(entry.location.startswith(folder) for entry in entries):
+        folder = folder.rstrip("/").rpartition("/")[0]
+        folder += "/" if folder else ""
+    return folder
 
 
 def _match(lists: _Lists, name: str, split: str, content: bytes, entries: list[Entry]) -> None:

@@ -58,7 +58,7 @@ def read_mesh(
     Raises:
         InputError: the format is not one of these, or the file is broken, empty, without faces,
             holds more or less than it says, needs a feature that is not read, names a vertex that
-            it does not have, or has a coordinate that is no finite number.
+            it does not have, or a vertex that is no finite point.
     """
     if up not in UPS:
         raise InputError(f"up must be one of {', '.join(UPS)}, got {up!r}")
@@ -81,7 +81,7 @@ def read_mesh(
         polygons.require_sound()
         require_counts(content, suffix, polygons)
         triangles, notices = polygons.triangles()
-    notices = (*polygons.notices, *notices)
+    notices = (*polygons.notices, *polygons.unused(), *notices)
     for notice in notices:
         log.info("%s: %s", name, notice)
     vertices = polygons.vertices
@@ -106,9 +106,11 @@ def normalise(mesh: trimesh.Trimesh, name: str = "the mesh") -> trimesh.Trimesh:
         raise InputError(f"{name}: has no faces")
     if not (np.isfinite(vertices).all() or np.isfinite(vertices[faces]).all()):
         raise InputError(f"{name}: has vertices that are NaN or infinite")
+    notices: tuple[str, ...] = tuple(mesh.metadata.get("notices", ()))
     with_area = _have_area(vertices, faces)
     if not with_area.all():
         faces = faces[with_area]
+        notices += (f"{(~with_area).sum()} faces without area are no shape and were left out",)
     if not len(faces):
         raise InputError(
             f"{name}: none of its {len(with_area)} faces has an area: their corners are at one "
@@ -125,7 +127,7 @@ def normalise(mesh: trimesh.Trimesh, name: str = "the mesh") -> trimesh.Trimesh:
     # By the extent first, so that the squares neither overflow nor vanish.
     centred /= float(np.abs(centred).max())
     centred /= np.sqrt(np.einsum("ij,ij->i", centred, centred).max())
-    return _mesh(centred, faces, mesh.metadata.get("notices", ()))
+    return _mesh(centred, faces, notices)
 
 
 def _have_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:

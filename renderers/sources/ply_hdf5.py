@@ -2,7 +2,8 @@
 
 Each file has ``data`` (M,N,3), ``label`` (M,1) and ``normal`` (M,N,3). ``train_files.txt`` and
 ``test_files.txt`` are its official splits, ``shape_names.txt`` its classes, and
-``ply_data_train_0_id2file.json`` says which mesh each row of ``ply_data_train0.h5`` is of.
+``ply_data_train_0_id2file.json`` says which mesh each row of ``ply_data_train0.h5`` is of. y is up:
+PointNet turns its training clouds about y.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.cloud_formats.points import Points, unit_normals
 from partialbench.dataset.names import printable
+from partialbench.dataset.shards import open_hdf5
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError, parsing
 from renderers.sources.cloud_store import HdfFile, dataset, require_counts, whole_labels
@@ -38,7 +40,7 @@ def hdf5_files(path: Path) -> list[Path]:
 def fields_of(path: Path) -> set[str]:
     """The names at an HDF5 file's top; none where it is not readable."""
     try:
-        with h5py.File(path, "r", locking=False) as file:
+        with open_hdf5(path) as file:
             return set(file)
     except OSError:
         return set()
@@ -120,7 +122,8 @@ class PlyHdf5Store:
         out = [r.location for r in listing.rejected]
         listing.words = (
             f"modelnet40_ply_hdf5_2048: {len(present)} classes, {counts['train']:,} training, "
-            f"{counts['test']:,} test objects; {splits}; it is published with y up (--up y)"
+            f"{counts['test']:,} test objects; {splits}; y up, as it is published, unless "
+            f"--up says otherwise"
             + (f"; {len(out)} files left out: {', '.join(out)}" if out else "")
         )
 
@@ -161,7 +164,7 @@ def _shape_names(folder: Path) -> list[str]:
 
 
 def _class_names(names: list[str], highest: int, folder: Path) -> tuple[str, ...]:
-    """The names in the file; ModelNet40's where these begin as they do and there are more labels."""
+    """The names in the file; ModelNet40's where these begin as they do."""
     if names and names == list(MODELNET40[: len(names)]) and highest < len(MODELNET40):
         return MODELNET40
     if highest >= len(names):

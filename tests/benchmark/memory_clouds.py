@@ -43,7 +43,7 @@ class MemoryClouds:
             (c, o, v) for c in range(len(classes)) for o in range(objects) for v in range(views)
         ]
         self.num_points, self.class_names, self.setting = num_points, tuple(classes), setting
-        self.sensor, self.has_poses = "", True
+        self.sensor, self.has_poses, self.has_normals = "", True, False
         self.dataset_id, self.digest = "toy", f"{seed:064d}"
         self.labels = np.array([c for c, _, _ in rows], np.int64)
         self.object_ids = np.array([f"{classes[c]}_{o:04d}" for c, o, _ in rows])

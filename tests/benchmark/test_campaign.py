@@ -46,7 +46,6 @@ data = "toy"
 clouds = 64
 test = "other"
 points = 32
-poses = "0"
 
 [[tune]]
 models = "{MODELS}:Bare"
@@ -91,7 +90,7 @@ def test_all_that_is_missing_is_done_the_lowest_milestone_first(campaign, in_thi
     ]  # fmt: skip
     assert (len(after.done), after.missing, after.hours) == (5, [], 0.0)
     records = results.read_folder(campaign.results)
-    assert len(records) == 3 + 6  # 64 clouds of Posed: two sets, each whole, on fewer points, posed
+    assert len(records) == 3 + 4  # 64 clouds of Posed: two sets, each whole and on fewer points
     assert not (campaign.work / "running.json").exists()
     in_this_process.clear()
     running.run(campaign, jobs=1)
@@ -99,7 +98,7 @@ def test_all_that_is_missing_is_done_the_lowest_milestone_first(campaign, in_thi
 
 
 def test_hours_to_go_come_from_recorded_speeds(campaign, in_this_process):
-    running.run(campaign, jobs=1, only="*Bare")
+    running.run(campaign, jobs=1, only=["*Bare"])
     left = status(campaign)
     assert {job.model for job in left.missing} == {f"{MODELS}:Posed"}
     assert left.without_speed == 2
@@ -136,6 +135,18 @@ def test_a_diverged_training_is_recorded_and_the_rest_goes_on(
     monkeypatch.setattr(worker, "_work", train)
     assert len(running.run(campaign, jobs=1, retry_failed=True).done) == 5
     assert not (campaign.results / FAILURES).exists()
+
+
+def test_data_that_cannot_be_rendered_cost_their_own_jobs_alone(campaign, in_this_process):
+    shutil.rmtree(campaign.work / "data" / "other")
+    text = campaign.path.read_text()
+    at = text.index("render =", text.index("[data.other]"))
+    broken = text[:at] + 'render = "pm40 --source nowhere"\n' + text[text.index("\n", at) :]
+    campaign.path.write_text(broken)
+    with pytest.raises(PartialbenchError, match=r"all was done but for 1 data set.*nowhere"):
+        running.run(load(campaign.path), jobs=1)
+    assert ("train", "Posed", 64) not in in_this_process  # tested on it
+    assert len(in_this_process) == 4
 
 
 def test_time_that_is_over_ends_it_with_75_and_keeps_what_is_done(campaign, in_this_process):
@@ -198,7 +209,7 @@ def test_processes_end_with_the_same_answers_however_they_ran(campaign, in_this_
     else:
         assert start("--jobs", "2").wait() == 0
     for folder in (campaign.results, other / "records"):
-        assert len(results.read_folder(folder)) == 9
+        assert len(results.read_folder(folder)) == 7
     for record in results.read_folder(campaign.results):
         again = results.read(other / "records" / f"{record.run_name}{results.SUFFIX}")
         assert again.predictions_sha256 == record.predictions_sha256

@@ -1,11 +1,14 @@
 """What a campaign file may say, and what is said of one that is wrong."""
 
+import itertools
+import json
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from partialbench.benchmark.campaign.file import load
-from partialbench.benchmark.campaign.jobs import Condition, all_jobs
+from partialbench.benchmark.campaign.jobs import Condition, Ledger, all_jobs, from_dict
 from partialbench.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -68,6 +71,25 @@ def test_two_entries_of_one_training_are_one_with_the_tests_of_both(tmp_path):
     assert Condition("rooms", 64) in job.tests
 
 
+def test_an_entry_may_change_the_protocol_and_is_then_another_training(tmp_path):
+    entry = '[[train]]\nmodels = "pointnet"\ndata = "shapes"\nclouds = 100\nprotocol = {}\n'
+    more = "".join(entry.replace("{}", fields) for fields in ("{stretch = 1.25}", "{stretch = 1}"))
+    campaign = load(written(tmp_path, SMALL + more))
+    ledger = Ledger(campaign)
+    jobs = [
+        j for j in all_jobs(campaign)
+        if j.kind == "train" and (j.model, j.seed, j.clouds) == ("pointnet", 0, 100)
+    ]  # fmt: skip
+    # A stretch of 1 is what the preset has: it is the file's first entry again.
+    assert [job.protocol for job in jobs] == ["{}", '{"stretch": 1.25}']
+    plain, stretched = (ledger.protocol_of(job) for job in jobs)
+    assert (plain.preset, plain.stretch) == ("smoke", 1.0)
+    assert (stretched.preset, stretched.stretch) == ("smoke+", 1.25)
+    assert jobs[0].training != jobs[1].training
+    assert "stretch=1.25" in jobs[1].title
+    assert from_dict(jobs[1].as_dict()) == jobs[1]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -82,6 +104,8 @@ def test_two_entries_of_one_training_are_one_with_the_tests_of_both(tmp_path):
         ('"100"', '"many"', "many"),
         ('render = "pm40 --counts 2,1 --views 1"', 'rendr = "x"', "has no field 'rendr'"),
         ("--views 1", "--views 1 --out x", "must not say --out"),
+        ("points = 64", "protocol = {strech = 2}", "line 18: .* no field 'strech'; did you mean st"),
+        ("points = 64", "protocol = {stretch = 0.5}", "stretch must be 1 .none. or more, got 0.5"),
         ("[[tune]]", "[[tune]", "is not TOML: .*line 20"),
     ],
 )
@@ -96,6 +120,23 @@ def test_no_file_and_no_run_are_said(tmp_path):
         load(tmp_path / "none.toml")
     with pytest.raises(InputError, match="declares no run"):
         load(written(tmp_path, "preset = 'smoke'"))
+
+
+def test_the_pose_study_is_a_full_factorial():
+    campaign = load(ROOT / "leaderboard" / "pose.toml")
+    ledger = Ledger(campaign)
+    cells = Counter(
+        (
+            json.loads(job.options).get("pose_weight", "λ"),
+            "ray" in json.loads(job.options),
+            ledger.protocol_of(job).stretch,
+        )
+        for job in all_jobs(campaign)
+        if job.kind == "train" and job.model == "papnet-steered"
+    )
+    # Pose weight × ray × stretch, three seeds each; 0.3 is the default and not written.
+    expected = itertools.product(("λ", 0.0), (False, True), (1.0, 1.25))
+    assert cells == dict.fromkeys(expected, 3)
 
 
 def test_the_board_s_own_file_holds_together():

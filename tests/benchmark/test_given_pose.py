@@ -34,13 +34,14 @@ class Reads(nn.Module):
 
 @pytest.mark.parametrize(
     ("text", "name"),
-    [("0", "0"), (0, "0"), ("0.0", "0"), ("15", "15"), (7.5, "7.5"), ("random", "random")],
+    [("0", "0"), (0, "0"), ("0.0", "0"), ("15", "15"), (7.5, "7.5"), ("random", "random"),
+     ("class:0", "class:0"), ("class:15.0", "class:15")],
 )
 def test_names_of_poses(text, name):
     assert given_pose.parse(text) == name
 
 
-@pytest.mark.parametrize("text", ["true", "-1", "181", "nan", "inf", ""])
+@pytest.mark.parametrize("text", ["true", "-1", "181", "nan", "inf", "", "class:", "class:x"])
 def test_what_is_no_pose_is_refused(text):
     with pytest.raises(InputError, match=rf"0 to 180 .*; got '{text}'"):
         given_pose.parse(text)
@@ -83,9 +84,11 @@ def test_a_random_pose_has_nothing_of_the_true_one():
 def test_each_cloud_is_told_its_own_pose_whatever_the_batches():
     clouds = MemoryClouds()
     given = given_pose.rotations("30", clouds, ROWS)
+    told = given_pose.told("30", clouds, ROWS, clouds.class_names)
+    np.testing.assert_array_equal(told.rotations[:, 0], given)
     whole, parts = (
         evaluate.predict_rows(
-            Reads(), clouds, ROWS, clouds.class_names, batch_size=size, given=given
+            Reads(), clouds, ROWS, clouds.class_names, batch_size=size, given=told
         )
         for size in (24, 7)
     )
@@ -94,14 +97,66 @@ def test_each_cloud_is_told_its_own_pose_whatever_the_batches():
     np.testing.assert_array_equal(given, given_pose.rotations("30", clouds, ROWS))
 
 
+def test_under_each_class_s_own_symmetry_the_pose_is_mapped_as_if_it_were_of_that_class():
+    clouds = MemoryClouds()  # bottles (z-inf), chairs (none), tables (z-180)
+    told = given_pose.told("class:0", clouds, ROWS, (*clouds.class_names, "sofa", "cup"))
+    assert told.rotations.shape == (24, 3, 3, 3)
+    assert told.hypothesis.tolist() == [2, 0, 1, 0, 2]  # none, z-180, z-inf
+    for group, expected in enumerate(("none", "z-180", "z-inf")):
+        mapped = map_rotations(clouds.rotations[ROWS], np.full(24, expected))
+        np.testing.assert_allclose(told.rotations[:, group], mapped, atol=1e-6)
+    noisy = given_pose.told("class:15", clouds, ROWS, clouds.class_names).rotations[:, 1]
+    turn = given_pose.rotations("15", clouds, ROWS) @ given_pose.rotations(
+        "0", clouds, ROWS
+    ).swapaxes(1, 2)
+    np.testing.assert_allclose(noisy, turn @ told.rotations[:, 1], atol=1e-5)
+
+
+def test_each_class_is_judged_under_its_own_pose_and_none_can_be_read_off_it():
+    """A model that answers by the pose alone, as the true class's Map gives it away."""
+
+    class KnowsBottles(nn.Module):
+        """Says bottle where the pose has no turn about the object's own axis."""
+
+        def forward(self, clouds, rotation=None):
+            if rotation is None:
+                return Prediction(torch.zeros(len(clouds), 3))
+            turn = (rotation[:, 1, 0] - rotation[:, 0, 1]).abs()
+            other = torch.full_like(turn, 1e-3)
+            return Prediction(torch.stack([-turn, -other, -other], dim=1))
+
+    clouds = MemoryClouds(objects=40)
+    rows = np.arange(len(clouds))
+
+    def bottles(name):
+        told = given_pose.told(name, clouds, rows, clouds.class_names)
+        found = evaluate.predict_rows(
+            KnowsBottles(), clouds, rows, clouds.class_names, batch_size=50, given=told
+        )
+        return [(found.predicted[clouds.labels == label] == 0).mean() for label in range(3)]
+
+    assert bottles("0")[0] == 1
+    assert max(bottles("0")[1:]) < 0.1, "as labels are told, the pose alone tells bottles"
+    assert bottles("class:0") == [1, 1, 1], "under each class's own, it says the same of all"
+
+
+def test_a_class_whose_objects_differ_in_symmetry_has_none_to_be_told_under():
+    clouds = MemoryClouds()
+    clouds.symmetries = clouds.symmetries.copy()
+    clouds.symmetries[-1] = "none"
+    with pytest.raises(InputError, match=r"class 'table' of toy .*\(none, z-180\)"):
+        given_pose.told("class:0", clouds, ROWS, clouds.class_names)
+    given_pose.told("0", clouds, ROWS, clouds.class_names)
+
+
 def test_a_record_for_each_pose_beside_the_models_own(data, tmp_path):
     options = {"channels": 8, "width": 8, "poses": 60}
     done = run_eval(
         "papnet-steered", data, results_folder=tmp_path, options=options,
-        test_poses=["0", 15, "random", "15"], test_points=[32], **SMALL,
+        test_poses=["0", 15, "class:0", "random", "15"], test_points=[32], **SMALL,
     )  # fmt: skip
     assert [r.conditions for r in done] == [
-        {}, {"pose": "0"}, {"pose": "15"}, {"pose": "random"}, {"points": "32"},
+        {}, {"pose": "0"}, {"pose": "15"}, {"pose": "class:0"}, {"pose": "random"}, {"points": "32"},
     ]  # fmt: skip
     assert [r.given_pose for r in results.read_folder(tmp_path)].count("") == 2
     own, true, *_ = done

@@ -32,8 +32,8 @@ def full_float32(monkeypatch):
     monkeypatch.setattr(torch.backends.cudnn, "allow_tf32", False)
 
 
-def batch_of(labels: Tensor) -> Batch:
-    """Clouds on ellipsoids whose axes their labels choose."""
+def batch_of(labels: Tensor, name: str) -> Batch:
+    """Clouds on ellipsoids whose axes their labels choose, with normals if the model takes them."""
     rng = np.random.default_rng(0)
     directions = rng.standard_normal((len(labels), POINTS, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -41,7 +41,12 @@ def batch_of(labels: Tensor) -> Batch:
     turns = haar_rotations(rng, len(labels))
     points = (directions * axes[labels.numpy(), None]) @ turns.swapaxes(1, 2)
     rotation = torch.from_numpy(turns).float()
-    return Batch(torch.from_numpy(points).float(), labels, rotation, rotation)
+    batch = Batch(torch.from_numpy(points).float(), labels, rotation, rotation)
+    if "normals" not in registry.card(name).inputs:
+        return batch
+    normals = (directions / axes[labels.numpy(), None]) @ turns.swapaxes(1, 2)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return batch._replace(normals=torch.from_numpy(normals).float())
 
 
 def model_of(name: str) -> nn.Module:
@@ -50,12 +55,12 @@ def model_of(name: str) -> nn.Module:
 
 
 def moved(batch: Batch) -> Batch:
-    return Batch(*(tensor.to(DEVICE) for tensor in batch))
+    return Batch(**{k: t.to(DEVICE) for k, t in batch._asdict().items() if t is not None})
 
 
 @pytest.mark.parametrize("name", sorted(registry.cards()))
 def test_answers_and_gradients_are_those_of_the_cpu(name):
-    batch = batch_of(torch.arange(CLOUDS) % CLASSES)
+    batch = batch_of(torch.arange(CLOUDS) % CLASSES, name)
     here = model_of(name).eval()
     with torch.no_grad():
         for parameter in here.parameters():
@@ -65,7 +70,8 @@ def test_answers_and_gradients_are_those_of_the_cpu(name):
     there = copy.deepcopy(here).to(DEVICE)
     found = []
     for model, given in ((here, batch), (there, moved(batch))):
-        logits = as_prediction(model(given.points), CLOUDS, CLASSES).class_logits
+        more = {} if given.normals is None else {"normals": given.normals}
+        logits = as_prediction(model(given.points, **more), CLOUDS, CLASSES).class_logits
         logits.square().mean().backward()
         gradients = [p.grad.flatten() for p in model.parameters() if p.grad is not None]
         found.append((logits.detach().cpu(), torch.cat(gradients).cpu()))
@@ -76,7 +82,7 @@ def test_answers_and_gradients_are_those_of_the_cpu(name):
 @pytest.mark.parametrize("precision", [torch.float32, torch.bfloat16], ids=["32", "bf16"])
 @pytest.mark.parametrize("name", sorted(registry.cards()))
 def test_a_training_learns(name, precision):
-    batch = moved(batch_of(torch.arange(CLOUDS) % CLASSES))
+    batch = moved(batch_of(torch.arange(CLOUDS) % CLASSES, name))
     trained = WithLoss(model_of(name).to(DEVICE), 0.0, CLASSES).train()
     optimizer = torch.optim.Adam(trained.parameters(), lr=1e-3)
     losses = []

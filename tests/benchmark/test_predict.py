@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,15 @@ import torch
 import trimesh
 from PIL import Image
 
-from partialbench.benchmark.predict import draw, predict, read_points
+from partialbench.benchmark import predict as asked
+from partialbench.benchmark.predict import draw, read_points
 from partialbench.benchmark.training import checkpoint
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 from tests.benchmark.memory_clouds import MemoryClouds
+from tests.benchmark.tiny_models import MODELS
+
+predict = functools.partial(asked.predict, model=f"{MODELS}:Posed")
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +96,7 @@ def test_a_text_of_more_columns_is_a_cloud_whatever_they_are(weights, tmp_path, 
 
 
 def test_a_depth_image_needs_intrinsics_that_make_sense(weights, tmp_path):
-    np.save(tmp_path / "d.npy", np.ones((20, 30)))
+    np.save(tmp_path / "d.npy", np.linspace(1, 2, 600).reshape(20, 30))
     with pytest.raises(InputError, match="30×20 pixels: its intrinsics are needed"):
         predict(weights, tmp_path / "d.npy")
     with pytest.raises(InputError, match="focal lengths must be positive"):
@@ -125,7 +130,7 @@ def test_few_points_are_all_used_before_any_is_repeated(rng):
 def test_a_dense_capture_is_cut_into_clouds_that_vote(weights, tmp_path, rng):
     points = rng.standard_normal((64 * 3 + 10, 3))
     np.save(tmp_path / "dense.npy", points)
-    model = checkpoint.build_model(checkpoint.load(weights))
+    model = checkpoint.build_model(checkpoint.load(weights), f"{MODELS}:Posed")
     with torch.inference_mode():
         each = model(torch.from_numpy(draw(points, 64, 3)))
     for votes, used in ((8, 3), (2, 2), (1, 1)):

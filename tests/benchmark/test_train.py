@@ -190,7 +190,7 @@ def test_a_checkpoint_loads_without_running_code_and_a_stranger_does_not(tmp_pat
     assert content["class_names"] == ["bottle", "chair", "table"]
     assert content["num_points"] == 64
     assert "optimizer" not in content  # a finished one holds weights alone
-    model = checkpoint.build_model(content)
+    model = checkpoint.build_model(content, content["model"])
     clouds = torch.from_numpy(MemoryClouds().points(np.arange(4)))
     assert model(clouds).shape == (4, 3)
 
@@ -200,7 +200,7 @@ def test_a_checkpoint_loads_without_running_code_and_a_stranger_does_not(tmp_pat
     torch.save(Path("x"), tmp_path / "code.pt")
     (tmp_path / "cut.pt").write_bytes(finished(tmp_path).read_bytes()[:500])
     for name in ("code.pt", "cut.pt"):
-        with pytest.raises(InputError, match="not a checkpoint that loads safely"):
+        with pytest.raises(InputError, match=r"no checkpoint, or it is damaged|loads safely"):
             checkpoint.load(tmp_path / name)
 
 

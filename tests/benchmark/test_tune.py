@@ -153,7 +153,7 @@ def test_trials_may_begin_from_weights(done, data, tmp_path):
         MODEL, data, [{"lr": 1e-7}], "board", device="cpu", results_folder=tmp_path,
         clouds=100, start_from=start, protocol=SHORT,
     )  # fmt: skip
-    assert trial.options.startswith("start=toy:")
+    assert trial.options.startswith("start toy:")
     assert trial.recipe == "lr=1e-07"
     before = checkpoint.load(start)["state"]
     after = checkpoint.load(next(tmp_path.glob("runs/*/branch-*/checkpoint.pt")))["state"]

@@ -5,14 +5,17 @@ import json
 import h5py
 import numpy as np
 import pytest
+import trimesh
 
 from partialbench.dataset.build import build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.manifest import bytes_sha256
 from partialbench.dataset.shards import row_digests
-from partialbench.dataset.verify import surface_distance, verify
+from partialbench.dataset.sources import OrientedCloud
+from partialbench.dataset.surface_check import normal_angles_deg, surface_distance
+from partialbench.dataset.verify import verify
 from partialbench.errors import InputError
-from tests.dataset.toy import ToySource, plan
+from tests.dataset.toy import ToyOccluder, ToySource, plan
 
 
 @pytest.fixture
@@ -152,3 +155,36 @@ def test_surface_distance_of_a_cloud_is_to_its_nearest_point():
     assert surface_distance(cloud, np.array([[0.25, 0, 0], [1, 0, 0.5]])) == pytest.approx(
         [0.25, 0.5]
     )
+
+
+def test_normals_are_held_against_the_faces_at_their_points():
+    box = trimesh.creation.box((2, 2, 2))
+    points = np.array([[1, 0.3, 0.2], [1, 1, 0.5], [1, 1, 0.5], [0.2, 0.1, -1], [0, 0, 0]])
+    slant = np.array([np.cos(0.1), np.sin(0.1), 0])
+    normals = np.array([slant, [1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, 1]])
+    angles = normal_angles_deg(box, points, normals)
+    # At an edge either face's will do; inside the box no face is near enough.
+    assert angles == pytest.approx([np.rad2deg(0.1), 0, 0, 0, 90], abs=1e-6)
+    cloud = OrientedCloud(points[:2], np.array([[1, 0, 0], [0, 0, 0]]))
+    assert normal_angles_deg(cloud, points[:2], normals[:2])[0] == pytest.approx(np.rad2deg(0.1))
+    assert np.isnan(normal_angles_deg(cloud, points[:2], normals[:2])[1])
+    assert np.isnan(normal_angles_deg(points, points, normals)).all()
+
+
+class Slanted(ToyOccluder):
+    """As a mistake in a renderer would have it: normals of another face of the object."""
+
+    def views(self, shape, poses, rngs):
+        seen = super().views(shape, poses, rngs)
+        for view in seen:
+            towards = -view.points / np.linalg.norm(view.points, axis=1, keepdims=True)
+            view.normals = towards.astype(np.float32)
+        return seen
+
+
+@pytest.mark.parametrize(("occluder", "problems"), [(ToyOccluder, 0), (Slanted, 1)])
+def test_normals_of_another_surface_are_found(occluder, problems, tmp_path):
+    build(plan(tmp_path, occluder=occluder(normals=True)), InlineExecutor)
+    report = verify(tmp_path, ToySource())
+    assert len(report.problems) == problems
+    assert all("normals are turned from the source's" in p for p in report.problems)

@@ -88,7 +88,7 @@ def test_two_test_sets_under_one_condition_are_refused(folder):
 
 def test_tables_and_figures_show_them(folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("board")
-    written = {path.name for path in build_leaderboard(folder, out)}
+    written = {path.name for path in build_leaderboard(folder, out, with_figures=True)}
     column, _ = make_board(results.read_folder(folder))
     assert column.slug == "pm40-parametric-partial-board-100k-clouds"
     expected = ("points", "pose_points", "kinect-v1", "tof", "pose_visibility")

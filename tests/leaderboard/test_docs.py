@@ -22,7 +22,7 @@ def board(tmp_path_factory):
     root = tmp_path_factory.mktemp("docs")
     small_board(root / "results")
     add(root / "results", "more", 0.8, digest="d", duplicates=3)
-    build_leaderboard(root / "results", root / "board")
+    build_leaderboard(root / "results", root / "board", with_figures=True)
     return root / "board"
 
 

@@ -87,7 +87,7 @@ def test_a_row_without_the_true_pose_has_no_gain(folder):
 
 def test_tables_and_figures_show_them(folder, tmp_path_factory):
     out = tmp_path_factory.mktemp("board")
-    written = {path.name for path in build_leaderboard(folder, out)}
+    written = {path.name for path in build_leaderboard(folder, out, with_figures=True)}
     column = make_board(results.read_folder(folder))[0]
     assert f"given_pose_{column.slug}.svg" in written
     text = (out / "leaderboard.md").read_text()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leaderboard.board import make_board
-from leaderboard.settings import setting_families, setting_layouts
+from leaderboard.settings import as_layout, losses, setting_families
 from partialbench.benchmark.records import results
 from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 from tests.leaderboard.records import add
@@ -15,7 +15,8 @@ def add_setting(folder, name, setting, accuracy, **other):
 
 
 def layouts(folder):
-    return setting_layouts(make_board(results.read_folder(folder)), folder)
+    families = setting_families(make_board(results.read_folder(folder)))
+    return [as_layout(family, losses(family, folder)) for family in families]
 
 
 def test_the_loss_is_the_difference_of_accuracies_with_its_paired_interval(tmp_path):

@@ -21,8 +21,8 @@ from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera, fit_ball, sample_pose
 from renderers import mitsuba_depth
 from renderers.mitsuba_depth import NOTHING_SEEN, MitsubaOccluder, back_project
+from renderers.sources.folder import MeshFolder
 from renderers.sources.mesh import normalise
-from renderers.sources.modelnet import ModelNet40Tree
 from renderers.variants import SUPPORTED, pick_variant
 from tests.renderers.raycaster import Cast, cast
 
@@ -119,7 +119,7 @@ def test_depth_equals_the_brute_force_caster(name: str, variant: str) -> None:
 
 @pytest.mark.data
 def test_depth_equals_the_brute_force_caster_on_real_files(shared: Path) -> None:
-    source = ModelNet40Tree(shared / "data" / "ModelNet40")
+    source = MeshFolder(shared / "data" / "ModelNet40")
     refs = [ref for split in source.splits() for ref in source.objects(split)]
     assert len(refs) == 8
     for ref in refs:

@@ -1,4 +1,4 @@
-"""ModelNet40 trees and zips, folders of meshes, and what a path is taken for."""
+"""Folders and zips of meshes, which of them are ModelNet40, and what a path is taken for."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import trimesh
 
 from partialbench.dataset.categories import MODELNET40
 from partialbench.errors import InputError
-from renderers.sources.folder import MeshFolder, split_of
-from renderers.sources.modelnet import ModelNet40Tree, ModelNet40Zip
+from renderers.sources.folder import MeshFolder
+from renderers.sources.listing import split_of
 from renderers.sources.open import open_source
 
 OFF = b"OFF\n4 2 0\n0 0 0\n2 0 0\n2 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
@@ -43,7 +43,7 @@ def pack(path: Path, names: tuple[str, ...], content: bytes = OFF) -> Path:
     return path
 
 
-def listing(source: ModelNet40Tree | ModelNet40Zip | MeshFolder) -> list[tuple[str, str, str]]:
+def listing(source: MeshFolder) -> list[tuple[str, str, str]]:
     return [
         (split, source.class_names[ref.label], ref.object_id)
         for split in source.splits()
@@ -52,11 +52,11 @@ def listing(source: ModelNet40Tree | ModelNet40Zip | MeshFolder) -> list[tuple[s
 
 
 EXPECTED = [
-    ("train", "airplane", "airplane_0003"),
-    ("train", "chair", "chair_0001"),
-    ("train", "chair", "chair_0002"),
-    ("test", "airplane", "airplane_0627"),
-    ("test", "chair", "chair_0890"),
+    ("train", "airplane", "airplane/airplane_0003"),
+    ("train", "chair", "chair/chair_0001"),
+    ("train", "chair", "chair/chair_0002"),
+    ("test", "airplane", "airplane/airplane_0627"),
+    ("test", "chair", "chair/chair_0890"),
 ]
 LITTER = ("__MACOSX/chair/train/._chair_0001.off", "chair/train/.chair.off", "README.txt",
           "chair/readme.md", ".git/train/x.off")  # fmt: skip
@@ -68,11 +68,11 @@ def test_modelnet40_lists_the_same_from_a_tree_and_from_its_zip(
     kind: str, inside: str, tmp_path: Path
 ) -> None:
     names = tuple(inside + name for name in MODELNET) + LITTER
-    source: ModelNet40Tree | ModelNet40Zip
+    source: MeshFolder
     if kind == "tree":
-        source = ModelNet40Tree(write(tmp_path, names))
+        source = MeshFolder(write(tmp_path, names))
     else:
-        source = ModelNet40Zip(pack(tmp_path / "m.zip", names))
+        source = MeshFolder(pack(tmp_path / "m.zip", names))
     assert listing(source) == EXPECTED
     assert source.class_names == MODELNET40
     assert source.rejected == []
@@ -80,7 +80,7 @@ def test_modelnet40_lists_the_same_from_a_tree_and_from_its_zip(
     assert described["objects"] == {"train": 3, "test": 2}
     assert str(tmp_path) not in str(described)
     other = tmp_path / "other"
-    assert ModelNet40Tree(write(other, MODELNET)).describe() == described
+    assert MeshFolder(write(other, MODELNET)).describe() == described
     ref = source.objects("train")[1]
     assert source.digest(ref) == hashlib.sha256(OFF).hexdigest()
     mesh = source.load(ref)
@@ -92,27 +92,43 @@ def test_modelnet40_lists_the_same_from_a_tree_and_from_its_zip(
 
 def test_the_frame_is_what_the_user_says(tmp_path: Path) -> None:
     root = write(tmp_path, MODELNET)
-    original, aligned = ModelNet40Tree(root), ModelNet40Tree(root, aligned=True)
+    original, aligned = MeshFolder(root), MeshFolder(root, aligned=True)
     assert (original.frame, aligned.frame) == ("original", "aligned")
     assert (original.describe()["frame"], aligned.describe()["frame"]) == ("original", "aligned")
 
 
 def test_another_listing_is_another_source(tmp_path: Path) -> None:
     root = write(tmp_path, MODELNET)
-    before = ModelNet40Tree(root).describe()
+    before = MeshFolder(root).describe()
     (root / MODELNET[0]).rename(root / "chair/train/chair_0003.off")
-    after = ModelNet40Tree(root).describe()
+    after = MeshFolder(root).describe()
     assert before["objects"] == after["objects"]
     assert before != after
 
 
-def test_a_folder_that_is_no_class_is_turned_away_and_said(tmp_path: Path) -> None:
-    source = ModelNet40Tree(write(tmp_path, (*MODELNET, "spoon/train/spoon_0001.off")))
-    assert listing(source) == EXPECTED
-    (rejected,) = source.rejected
-    assert (rejected.object_id, rejected.split, rejected.failed) == ("spoon_0001", "train", False)
-    assert rejected.reason == "its folder is not a class of ModelNet40"
-    assert rejected.details == {"folder": "spoon"}
+def all_forty(*more: str) -> tuple[str, ...]:
+    names = [f"{c}/{split}/{c}_0001.off" for c in MODELNET40 for split in ("train", "test")]
+    return (*names, *more)
+
+
+@pytest.mark.parametrize(
+    ("names", "name"),
+    [
+        (all_forty(), "modelnet40"),
+        (tuple("ModelNet40/" + name for name in all_forty()), "modelnet40"),
+        (all_forty()[:-2], "folder"),  # thirty-nine of its classes
+        (all_forty("spoon/train/spoon_0001.off"), "folder"),
+        (all_forty("chair/train/chair_0003.obj"), "folder"),
+        (all_forty("chair/val/chair_0003.off"), "folder"),
+        (MODELNET, "folder"),
+    ],
+)
+def test_pm40_is_the_forty_classes_and_nothing_else(names, name: str, tmp_path: Path) -> None:
+    tree = open_source(write(tmp_path / "tree", names), aligned=True)
+    assert tree.describe()["name"] == name
+    assert tree.frame == "aligned"
+    packed = open_source(pack(tmp_path / "m.zip", names), aligned=True)
+    assert packed.describe() == tree.describe()
 
 
 @pytest.mark.parametrize("damage", ["flip", "method", "encrypt"])
@@ -131,7 +147,7 @@ def test_one_broken_member_fails_alone(damage: str, tmp_path: Path) -> None:
     else:
         data[info.header_offset + 8] = data[entry + 10] = 99
     path.write_bytes(data)
-    source = ModelNet40Zip(path)
+    source = MeshFolder(path)
     assert listing(source) == EXPECTED
     for split in source.splits():
         for ref in source.objects(split):
@@ -147,7 +163,7 @@ def test_one_broken_member_fails_alone(damage: str, tmp_path: Path) -> None:
 def test_a_broken_file_is_named_by_its_place(tmp_path: Path) -> None:
     root = write(tmp_path, MODELNET)
     (root / MODELNET[0]).write_bytes(b"")
-    source = ModelNet40Tree(root)
+    source = MeshFolder(root)
     with pytest.raises(InputError, match=r"^chair/train/chair_0002\.off: the file is empty"):
         source.load(source.objects("train")[2])
     (root / MODELNET[1]).unlink()
@@ -160,14 +176,14 @@ def test_links_are_followed_but_not_in_circles(tmp_path: Path) -> None:
     root = write(tmp_path / "root", ("airplane/train/airplane_0003.off",))
     (root / "chair").symlink_to(tmp_path / "elsewhere")
     (root / "airplane" / "train" / "up").symlink_to(root)
-    assert [ref.object_id for ref in ModelNet40Tree(root).objects("train")] == [
-        "airplane_0003",
-        "chair_0001",
+    assert [ref.object_id for ref in MeshFolder(root).objects("train")] == [
+        "airplane/airplane_0003",
+        "chair/chair_0001",
     ]
 
 
 def test_a_zip_is_read_after_a_fork(tmp_path: Path) -> None:
-    source = ModelNet40Zip(pack(tmp_path / "m.zip", MODELNET))
+    source = MeshFolder(pack(tmp_path / "m.zip", MODELNET))
     refs = source.objects("train")
     source.load(refs[0])
     child = os.fork()
@@ -227,58 +243,35 @@ def test_classes_all_of_modelnet40_get_its_labels(tmp_path: Path) -> None:
 
 
 def test_of_one_object_in_two_formats_the_first_is_taken_and_it_is_said(tmp_path: Path) -> None:
-    names = ("mug/train/a.stl", "mug/train/a.off", "mug/train/b.off", "mug/train/deep/c.off")
+    names = ("mug/train/a.stl", "mug/train/a.off", "mug/train/b.off", "c.off")
     source = MeshFolder(write(tmp_path, names))
     assert [ref.location for ref in source.objects("train")] == list(names[1:3])
-    reasons = {(r.object_id, r.location): r.reason for r in source.rejected}
+    reasons = {(r.object_id, r.location): (r.reason, r.failed) for r in source.rejected}
     assert reasons == {
-        ("c", names[3]): "does not lie as <class>/<file> or <class>/<train or test>/<file>",
-        ("mug/a", names[0]): "another file gives an object of this name",
+        ("c", "c.off"): ("lies in no class's folder", True),
+        ("mug/a", names[0]): ("another file gives an object of this name", False),
     }
-
-
-@pytest.mark.parametrize(
-    ("names", "kind"),
-    [
-        (MODELNET, "modelnet40"),
-        (tuple("ModelNet40/" + name for name in MODELNET), "modelnet40"),
-        ((*MODELNET, "chair/train/chair_0003.obj"), "folder"),
-        (("chair/a.off",), "folder"),
-        (("mug/train/a.off",), "folder"),
-    ],
-)
-def test_open_tells_what_a_path_is(names: tuple[str, ...], kind: str, tmp_path: Path) -> None:
-    tree = open_source(write(tmp_path / "tree", names), aligned=True)
-    assert tree.describe()["name"] == kind
-    assert tree.frame == "aligned"
-    packed = open_source(pack(tmp_path / "m.zip", names), aligned=True)
-    assert packed.describe() == tree.describe()
-    assert isinstance(packed, ModelNet40Zip) == (kind == "modelnet40")
 
 
 def test_open_takes_a_registered_name(tmp_path: Path) -> None:
     root = write(tmp_path, MODELNET)
-    assert isinstance(open_source("modelnet40", root=root), ModelNet40Tree)
-    with pytest.raises(InputError, match="the source 'modelnet40' takes root, aligned: missing"):
-        open_source("modelnet40")
+    assert isinstance(open_source("folder", root=root), MeshFolder)
+    with pytest.raises(InputError, match="the source 'folder' takes root, up, aligned: missing"):
+        open_source("folder")
 
 
 def test_open_says_what_is_wrong_with_a_path(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"neither a path that exists nor .* mean modelnet40"):
-        open_source("modelnet4O")
+    with pytest.raises(InputError, match=r"neither a path that exists nor .* mean parametric"):
+        open_source("parametrics")
     empty = tmp_path / "empty"
     empty.mkdir()
     with pytest.raises(
         InputError, match=r"empty holds no meshes: looked for \.off, \.obj, .* among 0 files"
     ):
         open_source(empty)
-    with pytest.raises(InputError, match="does not exist; expected a folder of meshes"):
-        ModelNet40Tree(tmp_path / "absent")
-    with pytest.raises(InputError, match=r"looked for \.off as <class>/<train or test>/<file>"):
-        ModelNet40Tree(empty)
-    with pytest.raises(InputError, match="does not exist; expected a zip file"):
-        ModelNet40Zip(tmp_path / "absent.zip")
-    mesh, text, bad = tmp_path / "mug.off", tmp_path / "notes.txt", tmp_path / "bad.zip"
+    with pytest.raises(InputError, match="does not exist; expected a folder of meshes or"):
+        MeshFolder(tmp_path / "absent")
+    mesh, text, bad = tmp_path / "mug.off", tmp_path / "notes.md", tmp_path / "bad.zip"
     mesh.write_bytes(OFF)
     text.write_text("notes")
     bad.write_bytes(pack(tmp_path / "m.zip", MODELNET).read_bytes()[:-40])
@@ -289,13 +282,13 @@ def test_open_says_what_is_wrong_with_a_path(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a readable zip file: it is damaged or was cut short"):
         open_source(bad)
     with pytest.raises(InputError, match="not a readable zip file"):
-        ModelNet40Zip(bad)
-    with pytest.raises(InputError, match=r"takes root, aligned: got an unexpected .* 'up'"):
-        open_source(write(tmp_path / "tree", MODELNET), up="y")
+        MeshFolder(bad)
+    with pytest.raises(InputError, match=r"takes root, up, aligned: got an unexpected .* 'down'"):
+        open_source(write(tmp_path / "tree", MODELNET), down="y")
     with pytest.raises(InputError, match="up must be one of z, y, got 'x'"):
         open_source(write(tmp_path / "folder", ("mug/a.off",)), up="x")
     with pytest.raises(InputError, match="no split 'val'"):
-        ModelNet40Tree(tmp_path / "tree").objects("val")
+        MeshFolder(tmp_path / "tree").objects("val")
 
 
 @pytest.mark.data
@@ -307,8 +300,8 @@ def test_the_real_files_list_and_load(shared: Path, tmp_path: Path) -> None:
         for path in root.rglob("*.off"):
             archive.write(path, Path("ModelNet40") / path.relative_to(root))
     archived = open_source(packed)
-    assert isinstance(tree, ModelNet40Tree)
-    assert isinstance(archived, ModelNet40Zip)
+    assert isinstance(tree, MeshFolder)
+    assert isinstance(archived, MeshFolder)
     assert archived.describe() == tree.describe()
     count = 0
     for split in ("train", "test"):
@@ -330,7 +323,7 @@ def test_a_folder_of_clouds_is_told_from_a_folder_of_meshes(tmp_path: Path) -> N
     ):
         (tmp_path / folder / "crate").mkdir(parents=True)
         shape.export(tmp_path / folder / "crate" / "one.ply")
-    assert open_source(tmp_path / "clouds").describe()["name"] == "clouds"
+    assert open_source(tmp_path / "clouds").describe()["name"] == "custom-clouds"
     assert open_source(tmp_path / "meshes").describe()["name"] == "folder"
     np.save(tmp_path / "clouds" / "crate" / "two.npy", rng.normal(size=(50, 3)))
-    assert open_source(tmp_path / "clouds").describe()["name"] == "clouds"
+    assert open_source(tmp_path / "clouds").describe()["name"] == "custom-clouds"

@@ -21,6 +21,7 @@
     points = [64]                  # tests on fewer points; poses = ["0", "15"]: with the pose given
     damages = ["all"]              # tests on damaged clouds; ["jitter:3"]
     options = {grid = 16}          # of the model; recipe = {lr = 0.002}; precision = "bf16-mixed"
+    protocol = {stretch = 1.25}    # fields of the preset to change: another protocol, other columns
 
     [[tune]]
     models = ["pointnet"]
@@ -52,7 +53,7 @@ from partialbench.registry import ModelCard, close_matches
 
 TOP = ("results", "work", "board", "preset", "data", "train", "tune")
 DATA = ("render", "digests", "made_by")
-COMMON = ("models", "data", "clouds", "options", "recipe", "precision")
+COMMON = ("models", "data", "clouds", "options", "recipe", "precision", "protocol")
 TRAIN = (*COMMON, "seeds", "test", "points", "poses", "damages")
 TUNE = (*COMMON, "tries", "seed")
 
@@ -85,6 +86,7 @@ class Entry:
     Attributes:
         kind: "train" or "tune". data, test: names of data sets.
         clouds: milestones, ascending. seeds: one or more.
+        protocol: fields of the preset to change.
         tries: of a "tune", fields of the recipe to change, one mapping a trial.
     """
 
@@ -95,6 +97,7 @@ class Entry:
     options: Mapping[str, Any]
     recipe: Mapping[str, Any]
     precision: str
+    protocol: Mapping[str, Any]
     seeds: tuple[int, ...]
     test: tuple[str, ...] = ()
     points: tuple[int, ...] = ()
@@ -157,7 +160,7 @@ class _Reader:
             for name, fields in self.table(content.get("data", {}), "data").items()
         }
         entries = [
-            self.entry(kind, fields, data, protocols.protocol(preset))
+            self.entry(kind, fields, data, preset)
             for kind in ("train", "tune")
             for fields in self.tables(content.get(kind, []), kind)
         ]
@@ -201,20 +204,26 @@ class _Reader:
             self.text(fields.get("made_by", ""), "made_by"), missing,
         )  # fmt: skip
 
-    def entry(
-        self, kind: str, fields: Any, data: Mapping[str, DataSet], protocol: protocols.Protocol
-    ) -> Entry:
+    def entry(self, kind: str, fields: Any, data: Mapping[str, DataSet], preset: str) -> Entry:
         self.known(fields, TRAIN if kind == "train" else TUNE, f"[[{kind}]]")
         for name in ("models", "data", "clouds", *(["tries"] if kind == "tune" else [])):
             if name not in fields:
                 raise self.wrong(f"[[{kind}]]", f"a [[{kind}]] needs {name}")
         models = self.several(fields["models"], str, "models")
         recipe = dict(self.table(fields.get("recipe", {}), "recipe"))
+        changes = dict(self.table(fields.get("protocol", {}), "protocol"))
+        try:
+            protocol = protocols.protocol(preset, **changes)
+        except InputError as error:
+            raise self.wrong("protocol", str(error)) from error
+        # What the preset has anyway is no change: such an entry's trainings are the preset's own.
+        own_fields, followed = protocols.PRESETS[preset].as_dict(), protocol.as_dict()
+        changes = {name: followed[name] for name in changes if followed[name] != own_fields[name]}
         for model in models:
             try:
                 own = recipes.of_protocol(card_of(model), protocol)
-                for changes in (recipe, *fields.get("tries", [])):
-                    recipes.override(own, changes)
+                for tried in (recipe, *fields.get("tries", [])):
+                    recipes.override(own, tried)
             except InputError as error:
                 raise self.wrong(model, str(error)) from error
         names = self.several(fields["data"], str, "data")
@@ -237,6 +246,7 @@ class _Reader:
             dict(self.table(fields.get("options", {}), "options")),
             recipe,
             self.text(fields.get("precision", "32-true"), "precision"),
+            changes,
             self.several(seeds, int, "seeds"),
             tests,
             self.several(fields.get("points", []), int, "points"),

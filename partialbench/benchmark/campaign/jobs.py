@@ -15,12 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from partialbench.benchmark.campaign.file import Campaign, DataSet, Entry, card_of
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
+from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.records.trials import FILE, Trial, read_trials
-from partialbench.benchmark.variant import describe_changes
+from partialbench.benchmark.variant import describe_changes, pairs_text
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
@@ -51,6 +53,7 @@ class Job:
             are in ``recipe``.
         data: name of the data set. clouds: the milestone.
         tests: what is tested there; () for a trial.
+        protocol: fields of the campaign's preset that are changed, as JSON text.
     """
 
     kind: str
@@ -62,11 +65,17 @@ class Job:
     seed: int
     clouds: int
     tests: tuple[Condition, ...] = ()
+    protocol: str = "{}"
 
     @property
     def training(self) -> tuple[object, ...]:
         """What is one trunk: no two of its jobs run at once."""
-        return (self.model, self.options, self.recipe, self.precision, self.data, self.seed)
+        # By the preset as it is, it is named as before entries could change it: failures are
+        # remembered by this.
+        changed = () if self.protocol == "{}" else (self.protocol,)
+        return (
+            self.model, self.options, self.recipe, self.precision, self.data, self.seed, *changed,
+        )  # fmt: skip
 
     @property
     def title(self) -> str:
@@ -75,8 +84,10 @@ class Job:
             json.loads(self.recipe), json.loads(self.options), None, self.precision
         )
         row = results.with_changes(self.model, changes)
+        protocol = pairs_text(json.loads(self.protocol))
+        by = f", {protocol}" if protocol else ""
         trial = " (trial)" if self.kind == "tune" else ""
-        return f"{row} on {self.data}, seed {self.seed}, {self.clouds / 1000:g}k{trial}"
+        return f"{row} on {self.data}{by}, seed {self.seed}, {milestones.name(self.clouds)}{trial}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain JSON data."""
@@ -115,7 +126,7 @@ def _jobs_of(entry: Entry) -> Iterable[Job]:
                         yield Job(
                             entry.kind, model, _json(entry.options),
                             _json({**entry.recipe, **changes}), entry.precision, data, seed, clouds,
-                            tests,
+                            tests, _json(entry.protocol),
                         )  # fmt: skip
 
 
@@ -172,8 +183,8 @@ class Ledger:
         self.digests = {name: digests(data) for name, data in campaign.data.items()}
         self.unreadable: list[str] = []
         self.speeds: dict[tuple[str, str], float] = {}
-        self._protocol = protocols.protocol(campaign.preset)
-        self._recipes: dict[tuple[str, str], str] = {}
+        self._protocols: dict[str, Protocol] = {}
+        self._recipes: dict[tuple[str, str, str], str] = {}
         self._done: set[tuple[object, ...]] = set()
         for path in sorted(campaign.results.glob(f"*{results.SUFFIX}")):
             try:
@@ -199,12 +210,20 @@ class Ledger:
 
     def recipe_of(self, job: Job) -> str:
         """The whole recipe that a job trains by, as JSON text."""
-        key = (job.model, job.recipe)
+        key = (job.model, job.recipe, job.protocol)
         if key not in self._recipes:
-            own = recipes.of_protocol(card_of(job.model), self._protocol)
+            own = recipes.of_protocol(card_of(job.model), self.protocol_of(job))
             used = recipes.override(own, json.loads(job.recipe))
             self._recipes[key] = _json(recipes.as_dict(used))
         return self._recipes[key]
+
+    def protocol_of(self, job: Job) -> Protocol:
+        """What a job trains and is tested by."""
+        if job.protocol not in self._protocols:
+            self._protocols[job.protocol] = protocols.protocol(
+                self.campaign.preset, **json.loads(job.protocol)
+            )
+        return self._protocols[job.protocol]
 
     def _enter(self, result: Result) -> None:
         test = result.test_data
@@ -220,10 +239,11 @@ class Ledger:
         self.speeds.setdefault((result.model, _json(result.options)), speed)
 
     def _record(self, job: Job, train: str, test: Condition) -> tuple[object, ...]:
+        protocol = self.protocol_of(job)
         return (
             job.model, job.options, self.recipe_of(job), job.precision, job.seed, job.clouds,
-            self._protocol.digest, train, self.digests[test.data].get("test"),
-            test.points or self._protocol.num_points, test.pose, test.damage,
+            protocol.digest, train, self.digests[test.data].get("test"),
+            test.points or protocol.num_points, test.pose, test.damage,
         )  # fmt: skip
 
     def _trial(self, job: Job, train: str) -> tuple[object, ...]:
@@ -231,7 +251,7 @@ class Ledger:
         batch = json.loads(self.recipe_of(job))["batch_size"]
         return (
             job.model, describe_changes({}, json.loads(job.options), None, job.precision),
-            describe_changes(changes, {}), job.seed, train, self._protocol.digest,
+            pairs_text(changes), job.seed, train, self.protocol_of(job).digest,
             job.clouds // batch * batch,
         )  # fmt: skip
 

@@ -12,14 +12,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from fnmatch import fnmatchcase
 
 from partialbench import registry
 from partialbench.benchmark.campaign import jobs as job_files
 from partialbench.benchmark.campaign.file import Campaign, DataSet
-from partialbench.benchmark.campaign.jobs import FAILURES, Job
+from partialbench.benchmark.campaign.jobs import FAILURES, Job, Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
 from partialbench.benchmark.campaign.worker import DIVERGED, DONE, STOPPED, run_in_process
 from partialbench.benchmark.records.results import file_name
@@ -42,7 +42,7 @@ def run(
     *,
     jobs: int | None = None,
     device: str = "auto",
-    only: str | None = None,
+    only: Sequence[str] = (),
     time_limit_s: float | None = None,
     scheduler: str | None = None,
     retry_failed: bool = False,
@@ -52,7 +52,8 @@ def run(
 
     Args:
         jobs: how many side by side; by default one a core, on CUDA one.
-        only: a pattern of model names, "papnet*", or of model and data set, "papnet*@clouds".
+        only: patterns of model names, "papnet*", or of model and data set, "papnet*@clouds"; all
+            without one.
         time_limit_s: after so long every training saves its state and the campaign ends.
         scheduler: of a Dask cluster whose workers see the same folders; ``jobs`` is then by default
             as many as it has threads.
@@ -69,7 +70,7 @@ def run(
     """
     campaign.results.mkdir(parents=True, exist_ok=True)
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
-    with sole_user(campaign.work):
+    with sole_user(campaign.work, "working on", "give it a folder of its own"):
         if retry_failed:
             job_files.write_failures(campaign.results / FAILURES, [])
         runner = _Runner(campaign, device, only, deadline, say)
@@ -82,6 +83,11 @@ def run(
         if campaign.board is not None and any(campaign.results.glob("*.result.json")):
             for path in registry.load(registry.LEADERBOARD)(campaign.results, campaign.board):
                 log.info("wrote %s", path)
+        if runner.unrendered:
+            raise PartialbenchError(
+                f"all was done but for {len(runner.unrendered)} data set(s): "
+                + "; ".join(runner.unrendered.values())
+            )
         if not ended:
             raise TimeLimitError(
                 f"the time limit is over; {len(status(campaign).missing)} jobs are left. The same "
@@ -94,19 +100,21 @@ class _Runner:
     """One run of a campaign: what is running, and where it is told to stop."""
 
     def __init__(
-        self, campaign: Campaign, device: str, only: str | None, deadline: float | None,
+        self, campaign: Campaign, device: str, only: Sequence[str], deadline: float | None,
         say: Callable[[str], None],
     ) -> None:  # fmt: skip
         self.campaign, self.device, self.only = campaign, device, only
         self.deadline, self.say = deadline, say
         self.stop = campaign.work / f"stop-{os.getpid()}"
         self.running: dict[Future, Job] = {}
+        self.unrendered: dict[str, str] = {}
 
     def wanted(self, job: Job) -> bool:
-        if self.only is None:
-            return True
-        pattern = self.only if "@" in self.only else f"{self.only}@*"
-        return fnmatchcase(f"{job.model}@{job.data}", pattern)
+        if any(test.data in self.unrendered for test in job.tests) or job.data in self.unrendered:
+            return False
+        name = f"{job.model}@{job.data}"
+        patterns = [each if "@" in each else f"{each}@*" for each in self.only]
+        return not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
 
     def render(self, workers: int, scheduler: str | None) -> None:
         """Makes the data sets that some missing job needs, one after the other."""
@@ -114,7 +122,12 @@ class _Runner:
         needed = {name for job in missing for name in (job.data, *(t.data for t in job.tests))}
         for name in self.campaign.data:
             if name in needed and not self.is_over():
-                _render(self.campaign.data[name], workers, scheduler, self.say)
+                try:
+                    _render(self.campaign.data[name], workers, scheduler, self.say)
+                except PartialbenchError as error:
+                    # What can be trained without it is.
+                    self.unrendered[name] = str(error)
+                    self.say(str(error))
 
     def is_over(self) -> bool:
         return self.deadline is not None and time.monotonic() >= self.deadline
@@ -186,6 +199,12 @@ class _Runner:
         self._write_running()
         answer = future.result()
         if answer["outcome"] == DONE:
+            if not Ledger(self.campaign).is_done(job):
+                # Or it would be begun again for ever.
+                raise PartialbenchError(
+                    f"{job.title} says it is done, but {self.campaign.results} has no record of "
+                    f"it; its data may have been rendered anew meanwhile"
+                )
             self.say(f"done: {job.title}")
             return False
         if answer["outcome"] == STOPPED:

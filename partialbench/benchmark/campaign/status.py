@@ -11,6 +11,7 @@ from typing import Any
 
 from partialbench.benchmark.campaign.file import Campaign
 from partialbench.benchmark.campaign.jobs import Job, Ledger, all_jobs
+from partialbench.benchmark.protocol import milestones
 
 RUNNING = "running.json"
 MOST_NOTES = 3
@@ -62,9 +63,8 @@ class Status:
                 for clouds in sorted({job.clouds for job in jobs if job.data == data}):
                     here = [job for job in jobs if (job.data, job.clouds) == (data, clouds)]
                     share = sum(job in finished for job in here)
-                    lines.append(
-                        f"{heading:10} {data:24} {clouds / 1000:>6g}k   {share:>4} of {len(here)}"
-                    )
+                    name = milestones.name(clouds)
+                    lines.append(f"{heading:10} {data:24} {name:>7}   {share:>4} of {len(here)}")
         lines += [f"running    {job.title}" for job in self.running]
         lines += [f"failed     {job.title}" for job in self.failed]
         for reason in sorted(set(self.waiting.values())):

@@ -90,6 +90,7 @@ def _work(job: Job, order: dict[str, Any], stop: Path) -> None:
         "preset": order["preset"], "device": order["device"],
         "results_folder": order["results"], "runs_folder": order["runs"],
         "precision": job.precision, "options": json.loads(job.options),
+        "protocol": json.loads(job.protocol),
         "should_stop": lambda: stop.exists() or (
             deadline is not None and time.monotonic() > deadline
         ),

@@ -6,6 +6,7 @@ and the model's card (``cards``), each under the digest by which a record names 
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 from dataclasses import asdict, dataclass, fields
@@ -276,20 +277,36 @@ def read_predictions(folder: Path, result: Result) -> Predictions:
     path = folder / result.predictions_file
     if not path.is_file():
         raise InputError(f"{path} is missing; the record of {result.row} names it")
-    data = path.read_bytes()
-    found = hashlib.sha256(data).hexdigest()
-    if found != result.predictions_sha256:
-        raise InputError(
-            f"{path} is not the file its record was written with: SHA-256 {found}, expected "
-            f"{result.predictions_sha256}"
-        )
+    status = path.stat()
     truth = testsets.load(folder, result.test_set_sha256)
     if truth.class_names.tolist() != result.test_data.class_names:
         raise InputError(
             f"{folder / result.run_name}{SUFFIX} names other classes of the test data than their "
             f"truth, {testsets.path_of(folder, result.test_set_sha256)}"
         )
-    return prediction_files.from_bytes(data, path, truth, result.train_data.class_names)
+    return _load_predictions(
+        path, result.predictions_sha256, truth, tuple(result.train_data.class_names),
+        status.st_mtime_ns, status.st_size,
+    )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=512)
+def _load_predictions(
+    path: Path, sha256: str, truth: testsets.GroundTruth, classes: tuple[str, ...],
+    _mtime: int, _size: int,
+) -> Predictions:  # fmt: skip
+    """A board asks for the same file for every table that is made of it."""
+    data = path.read_bytes()
+    found = hashlib.sha256(data).hexdigest()
+    if found != sha256:
+        raise InputError(
+            f"{path} is not the file its record was written with: SHA-256 {found}, expected "
+            f"{sha256}"
+        )
+    predictions = prediction_files.from_bytes(data, path, truth, classes)
+    for field in fields(predictions):  # one copy is handed to all
+        getattr(predictions, field.name).flags.writeable = False
+    return predictions
 
 
 def read_folder(folder: Path) -> list[Result]:

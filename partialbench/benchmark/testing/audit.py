@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from partialbench.benchmark import inputs
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.models import as_prediction, num_parameters
 from partialbench.dataset.seeding import generator
@@ -48,19 +49,20 @@ def rotation_audit(
     model.eval()
     rng = generator(0, "rotation audit")
     rows = np.sort(rng.permutation(len(dataset))[:clouds])
-    points = torch.from_numpy(dataset.points(rows)).to(device)
+    points, more = inputs.of_rows(model, dataset, rows, device)
 
-    def answer(batch: Tensor) -> Tensor:
-        # A copy: a model may change what it is given.
-        output = model(batch.clone())
-        logits = as_prediction(output, len(batch), num_classes).class_logits.double()
+    def answer(turn: Tensor | None = None) -> Tensor:
+        # Copies: a model may change what it is given.
+        turned = [x.clone() if turn is None else x @ turn.mT for x in (points, *more.values())]
+        output = model(turned[0], **dict(zip(more, turned[1:], strict=True)))
+        logits = as_prediction(output, len(points), num_classes).class_logits.double()
         return logits - logits.mean(dim=1, keepdim=True)
 
-    before = answer(points)
+    before = answer()
     moved, changed = 0.0, 0.0
     for _ in range(turns):
         turn = torch.from_numpy(haar_rotations(rng, len(rows)).astype(np.float32)).to(device)
-        after = answer(points @ turn.mT)
+        after = answer(turn)
         moved += float((after - before).square().mean()) / turns
         changed += float((after.argmax(1) != before.argmax(1)).double().mean()) / turns
     size = float(before.square().mean())
@@ -90,19 +92,24 @@ def cost(
     model.eval()
     device = torch.device(device)
     rows = np.arange(min(batch_size, len(dataset)))
-    points = torch.from_numpy(dataset.points(rows)).to(device)
+    points, more = inputs.of_rows(model, dataset, rows, device)
+
+    def run(clouds: int) -> None:
+        # Copies: a model may change what it is given.
+        given = {name: value[:clouds].clone() for name, value in more.items()}
+        model(points[:clouds].clone(), **given)
+
     with FlopCounterMode(display=False) as counter:
-        model(points[:1].clone())
+        run(1)
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
 
-    def milliseconds(batch: Tensor, repeats: int) -> float:
+    def milliseconds(clouds: int, repeats: int) -> float:
         times = []
         for _ in range(repeats + 1):
-            given = batch.clone()
             _wait(device)
             start = time.perf_counter()
-            model(given)
+            run(clouds)
             _wait(device)
             times.append(1e3 * (time.perf_counter() - start))
         return statistics.median(times[1:])
@@ -110,8 +117,8 @@ def cost(
     return {
         "parameters": num_parameters(model),
         "multiply_adds": counter.get_total_flops() // 2,
-        "latency_ms": milliseconds(points[:1], LATENCY_REPEATS),
-        "batch_ms": milliseconds(points, 1) / len(rows),
+        "latency_ms": milliseconds(1, LATENCY_REPEATS),
+        "batch_ms": milliseconds(len(rows), 1) / len(rows),
         "batch_size": len(rows),
         "peak_memory_bytes": peak_memory_bytes(device),
     }

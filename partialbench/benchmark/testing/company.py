@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from partialbench.benchmark import inputs
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.records import results
@@ -53,16 +54,25 @@ def company_audit(
     rows = generator(0, "company audit").permutation(len(dataset))
     size = max(2, company)
     kept = min(CLOUDS, len(rows), size // 2)
-    points = torch.from_numpy(dataset.points(rows[:kept])).to(device)
-    others = torch.from_numpy(dataset.points(np.resize(rows[kept:] if len(rows) > kept else rows,
-                                                       size - kept))).to(device)  # fmt: skip
+    others = np.resize(rows[kept:] if len(rows) > kept else rows, size - kept)
+    points, named = inputs.of_rows(model, dataset, rows[:kept], device)
+    mates, mates_named = inputs.of_rows(model, dataset, others, device)
+    # One (b,N,C) tensor of all that a cloud is answered by, points first.
+    points = torch.cat([points, *named.values()], dim=-1)
+    mates = torch.cat([mates, *mates_named.values()], dim=-1)
+
+    def ask(batch: Tensor) -> Tensor:
+        parts = batch.split(3, dim=-1)
+        given = dict(zip(named, (part.clone() for part in parts[1:]), strict=True))
+        output = model(parts[0].clone(), **given)
+        return as_prediction(output, len(batch), num_classes).class_logits.double()
+
     changed: set[str] = set()
 
-    def answer(mates: Tensor | None, which: slice = slice(None), key: str = "audit") -> Tensor:
-        # Copies: a model may change what it is given.
-        batch = points[which].clone() if mates is None else torch.cat([points[which], mates])
+    def answer(beside: Tensor | None, which: slice = slice(None), key: str = "audit") -> Tensor:
+        batch = points[which] if beside is None else torch.cat([points[which], beside])
         with unchanged(model) as names, keyed_draws(key, device=device):
-            logits = as_prediction(model(batch), len(batch), num_classes).class_logits.double()
+            logits = ask(batch)
         changed.update(names)
         logits = logits[: len(points[which])]
         if not bool(torch.isfinite(logits).all()):
@@ -73,10 +83,10 @@ def company_audit(
             )
         return logits - logits.mean(dim=1, keepdim=True)
 
-    before = answer(others)
-    compared = [answer(-others)]
+    before = answer(mates)
+    compared = [answer(-mates)]
     scale = float(before.square().mean()) ** 0.5 or 1.0
-    redrawn = answer(others, key="another draw")
+    redrawn = answer(mates, key="another draw")
     random = _rms(redrawn - before) / scale > results.INDEPENDENT / 10
     if not random:
         alone = [answer(None, slice(i, i + 1)) for i in range(kept)]

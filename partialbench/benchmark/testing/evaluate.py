@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from partialbench.benchmark import inputs
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
@@ -20,6 +21,7 @@ from partialbench.benchmark.records.predictions import (
     deciding_classes,
 )
 from partialbench.benchmark.testing import duplicates
+from partialbench.benchmark.testing.given_pose import ARGUMENT, Told
 from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
@@ -36,7 +38,7 @@ def run_model(
     num_classes: int,
     device: torch.device | str = "cpu",
     batch_size: int = 32,
-    given: NDArray[np.float32] | None = None,
+    given: Told | None = None,
 ) -> Iterator[tuple[NDArray[np.int64], Prediction]]:
     """The model's answers for ``rows``, batch by batch, in evaluation mode and full precision.
 
@@ -44,19 +46,36 @@ def run_model(
     draws is keyed by the batch.
 
     Args:
-        given: (M,3,3) poses told to the model, object → camera; by default it has its own.
+        given: what is told of the poses of ``rows``; by default the model has its own. Under
+            several, each class's logit is of the answer under its own; the rest of the first's.
     """
     model.eval()
     for start in range(0, len(rows), batch_size):
         chosen = rows[start : start + batch_size]
-        points = torch.from_numpy(dataset.points(chosen)).to(device)
-        told = {}
-        if given is not None:
-            told["rotation"] = torch.from_numpy(given[start : start + batch_size]).to(device)
+        points, beside = inputs.of_rows(model, dataset, chosen, device)
         # Not around the yield: a generator must not leave its caller without gradients.
-        with torch.inference_mode(), keyed_draws(start, device=device):
-            output = model(points, **told)
-        yield chosen, as_prediction(output, len(chosen), num_classes)
+        with torch.inference_mode():
+            if given is None:
+                poses: list[dict[str, Tensor]] = [{}]
+            else:
+                of_batch = torch.from_numpy(given.rotations[start : start + batch_size]).to(device)
+                poses = [{ARGUMENT: each} for each in of_batch.unbind(1)]
+            answers = []
+            for pose in poses:
+                with keyed_draws(start, device=device):
+                    output = model(points, **beside, **pose)
+                answers.append(as_prediction(output, len(chosen), num_classes))
+            prediction = answers[0]
+            if given is not None and len(answers) > 1:
+                prediction = prediction._replace(class_logits=_judged(answers, given.hypothesis))
+        yield chosen, prediction
+
+
+def _judged(answers: list[Prediction], hypothesis: NDArray[np.int64]) -> Tensor:
+    """(B,K) each class's logit from the answer under its own hypothesis."""
+    logits = torch.stack([answer.class_logits for answer in answers])
+    classes = torch.arange(logits.shape[2], device=logits.device)
+    return logits[torch.from_numpy(hypothesis).to(logits.device), :, classes].T
 
 
 def predict_rows(
@@ -67,7 +86,7 @@ def predict_rows(
     device: torch.device | str = "cpu",
     batch_size: int = 32,
     train_sources: Sequence[str] = (),
-    given: NDArray[np.float32] | None = None,
+    given: Told | None = None,
     answers_alone: bool = False,
 ) -> Predictions:
     """Predictions for ``rows`` of a test split.
@@ -88,7 +107,7 @@ def predict_rows(
     if len(rows) == 0:
         raise ValueError("there is nothing to evaluate: no rows")
     order = generator(0, "test order").permutation(len(rows))
-    told = None if given is None else given[order]
+    told = None if given is None else given._replace(rotations=given.rotations[order])
     known = _shared(class_names, dataset.class_names)
     parts: list[dict[str, Tensor]] = []
     with unchanged(model):

@@ -135,7 +135,7 @@ def _test(
     predictions = evaluate.predict_rows(
         model, clouds, rows, train_data.class_names, fabric.device,
         train_sources=content["train_sources"],
-        given=given_pose.rotations(pose, test_set, rows) if pose else None,
+        given=given_pose.told(pose, test_set, rows, train_data.class_names) if pose else None,
         answers_alone=bool(result.conditions),
     )  # fmt: skip
     scores = metrics.scores(predictions, train_data.class_names, test_set.class_names)
@@ -145,13 +145,14 @@ def _test(
 
 
 def try_given_pose(
-    name: str, model: nn.Module, test_set: Clouds, pose: str, num_classes: int
+    name: str, model: nn.Module, test_set: Clouds, pose: str, class_names: Sequence[str]
 ) -> None:
-    """Gives a pose with one cloud. Raises ``InputError`` where the model takes none."""
+    """Gives a pose with one cloud. Raises ``InputError`` where the model takes none, or the data
+    have none of this kind."""
     given_pose.require_taken(model, name)
     rows = np.arange(1)
-    given = given_pose.rotations(pose, test_set, rows)
-    list(evaluate.run_model(model, test_set, rows, num_classes, given=given))
+    given = given_pose.told(pose, test_set, rows, class_names)
+    list(evaluate.run_model(model, test_set, rows, len(class_names), given=given))
 
 
 def _card_as_dict(card: ModelCard) -> dict[str, Any]:

@@ -11,6 +11,7 @@ with rows, not with pairs of rows, but for the p-values themselves.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -76,12 +77,25 @@ def bootstrap_means(
     n = len(counts)
     if n < 2:
         return np.full((resamples, sums.shape[1]), np.nan)
-    rng = generator(seed, "bootstrap", n)
     chunks = []
     for start in range(0, resamples, _CHUNK):
-        drawn = rng.multinomial(n, np.full(n, 1 / n), min(_CHUNK, resamples - start)).astype(float)
+        drawn = _draws(n, resamples, seed)[start : start + _CHUNK].astype(float)
         chunks.append((drawn @ sums) / (drawn @ counts)[:, None])
     return np.concatenate(chunks)
+
+
+@functools.lru_cache(maxsize=4)
+def _draws(n: int, resamples: int, seed: int) -> NDArray[np.int16]:
+    """(resamples,n) how often each object is drawn. One test set is resampled for many tables."""
+    rng = generator(seed, "bootstrap", n)
+    drawn = np.concatenate(
+        [
+            rng.multinomial(n, np.full(n, 1 / n), min(_CHUNK, resamples - start)).astype(np.int16)
+            for start in range(0, resamples, _CHUNK)
+        ]
+    )
+    drawn.flags.writeable = False
+    return drawn
 
 
 def _bounds(means: NDArray, confidence: float = 0.95) -> tuple[NDArray, NDArray]:

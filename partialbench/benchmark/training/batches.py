@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from partialbench.benchmark import inputs
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol.protocol import Protocol
@@ -45,6 +46,7 @@ class BatchStream:
     Args:
         rows: (m,) row numbers to train on.
         batch_size: clouds a step over all processes; all rows at once when there are fewer.
+        normals: whether batches have the normals of their points.
         rank, world: this process's number and how many there are; a batch is shared out evenly.
     """
 
@@ -57,10 +59,11 @@ class BatchStream:
         seed: int,
         rank: int = 0,
         world: int = 1,
+        normals: bool = False,
     ) -> None:
         self.dataset, self.rows, self.protocol, self.seed = dataset, rows, protocol, seed
         self.batch_size = min(batch_size, len(rows))
-        self.rank, self.world = rank, world
+        self.rank, self.world, self.normals = rank, world, normals
         if self.batch_size < 2:
             raise InputError(
                 f"training needs batches of 2 clouds or more, got batches of {batch_size} from "
@@ -84,7 +87,11 @@ class BatchStream:
         """This process's share of one batch, on the CPU."""
         chosen = order[place.batch * self.batch_size : (place.batch + 1) * self.batch_size]
         rng = generator(self.seed, "augment", place.epoch, place.batch)
-        points = self.dataset.points(chosen, rng, distinct=self.protocol.subset == "distinct")
+        distinct, normals = self.protocol.subset == "distinct", None
+        if self.normals:
+            points, normals = inputs.with_normals(self.dataset, chosen, rng, distinct)
+        else:
+            points = self.dataset.points(chosen, rng, distinct=distinct)
         rotation = self.dataset.rotations[chosen]
         if self.protocol.stretch > 1:
             points = stretched(
@@ -93,17 +100,24 @@ class BatchStream:
         if self.turns != "none":
             turn = self._turns(rng, len(chosen))
             points = points @ turn.swapaxes(1, 2).astype(np.float32)
+            if normals is not None:
+                normals = normals @ turn.swapaxes(1, 2).astype(np.float32)
             rotation = turn @ rotation
         if self.protocol.jitter_sigma > 0:
             noise = rng.standard_normal(points.shape, np.float32) * self.protocol.jitter_sigma
             points = points + noise.clip(-self.protocol.jitter_clip, self.protocol.jitter_clip)
+        if not self.dataset.has_poses:
+            rotation = np.full_like(rotation, np.nan)
         mine = slice(self.rank, None, self.world)
-        mapped = map_rotations(rotation[mine], self.dataset.symmetries[chosen[mine]])
+        mapped = rotation[mine]
+        if self.dataset.has_poses:
+            mapped = map_rotations(mapped, self.dataset.symmetries[chosen[mine]])
         return Batch(
             torch.from_numpy(np.ascontiguousarray(points[mine], np.float32)),
             torch.from_numpy(self.dataset.labels[chosen[mine]]),
             torch.from_numpy(rotation[mine].astype(np.float32)),
             torch.from_numpy(mapped.astype(np.float32)),
+            None if normals is None else torch.from_numpy(np.ascontiguousarray(normals[mine])),
         )
 
     def _turns(self, rng: np.random.Generator, size: int) -> NDArray[np.float64]:

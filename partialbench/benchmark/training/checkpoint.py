@@ -83,9 +83,8 @@ def load(path: Path | str) -> dict[str, Any]:
         )
     try:
         checkpoint_content.check(content)
-        rest = {name: value for name, value in content.items() if name != "content_sha256"}
-        whole = content_digest(rest) == content.get("content_sha256")
-        whole = whole and weights_digest(content["state"]) == content.get("weights_sha256")
+        whole = content_digest(content) == content["content_sha256"]
+        whole = whole and weights_digest(content["state"]) == content["weights_sha256"]
     except InputError as error:
         raise InputError(f"{path} is not a checkpoint as eval writes it: {error}") from error
     if not whole:
@@ -135,9 +134,9 @@ def weights_digest(state: Mapping[str, Tensor]) -> str:
 
 
 def content_digest(content: Mapping[str, Any]) -> str:
-    """SHA-256 (hex) over all that a checkpoint holds: plain data and tensors, in their order."""
+    """SHA-256 (hex) over all that a checkpoint holds but this digest, in its order."""
     digest = hashlib.sha256()
-    _digest(digest, dict(content))
+    _digest(digest, {name: value for name, value in content.items() if name != "content_sha256"})
     return digest.hexdigest()
 
 
@@ -194,8 +193,9 @@ def model_of(content: Mapping[str, Any], model: str | None = None) -> str:
     if user_code.is_own(stored):
         if model is None or not user_code.is_own(model):
             raise InputError(
-                f"the checkpoint is of a model of someone's own, {stored!r}. Code is imported only "
-                f"if you name it: if you trust it, give --model {stored}"
+                f"the checkpoint is of a model that is not one of ours, {stored!r}. Code is "
+                f"imported only if you name it: give --model with the module:factory that you know "
+                f"it is of"
             )
         return model
     if model not in (None, stored):

@@ -173,6 +173,17 @@ class _Turned:
         rng: np.random.Generator | None = None,
         distinct: bool = False,
     ) -> NDArray[np.float32]:
-        points = self.clouds.points(indices, rng, distinct)
-        turn = haar_rotations(self.rng, len(points)).astype(np.float32)
-        return points @ turn.swapaxes(1, 2)
+        return self._turned(self.clouds.points(indices, rng, distinct))[0]
+
+    def points_and_normals(
+        self,
+        indices: NDArray | list[int],
+        rng: np.random.Generator | None = None,
+        distinct: bool = False,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        points, normals = self._turned(*self.clouds.points_and_normals(indices, rng, distinct))
+        return points, normals
+
+    def _turned(self, *vectors: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        turn = haar_rotations(self.rng, len(vectors[0])).astype(np.float32)
+        return [each @ turn.swapaxes(1, 2) for each in vectors]

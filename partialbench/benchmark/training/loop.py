@@ -21,7 +21,7 @@ from lightning.fabric import Fabric
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from partialbench.benchmark import environment, models
+from partialbench.benchmark import environment, inputs, models
 from partialbench.benchmark.prediction import Batch, Prediction
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import recipe as recipes
@@ -74,8 +74,9 @@ class WithLoss(nn.Module):
         own_loss = getattr(self.model, "training_loss", None)
         if callable(own_loss):
             return own_loss(batch)
+        given = {} if batch.normals is None else {inputs.NORMALS: batch.normals}
         prediction: Prediction = models.as_prediction(
-            self.model(batch.points), len(batch.label), self.num_classes
+            self.model(batch.points, **given), len(batch.label), self.num_classes
         )
         loss = cross_entropy(
             prediction.class_logits, batch.label, label_smoothing=self.label_smoothing
@@ -99,6 +100,7 @@ class Loop:
         class_names = list(task.dataset.class_names)
         seed_all(step_seed(task.seed, "init"))
         bare = models.create(task.model, len(class_names), task.options)
+        inputs.require_poses(task.dataset, bare, task.model)
         if task.start is not None:
             fresh = finetune.begin(
                 bare, task.start, class_names, lambda k: models.create(task.model, k, task.options)
@@ -115,7 +117,7 @@ class Loop:
         self.bare: nn.Module = wrapped.model
         self.stream = BatchStream(
             task.dataset, task.train_rows, task.protocol, task.recipe.batch_size, task.seed,
-            fabric.global_rank, fabric.world_size,
+            fabric.global_rank, fabric.world_size, normals=inputs.needs_normals(self.bare),
         )  # fmt: skip
         self.schedule = Schedule(task.recipe, plan)
         log.info(milestones.describe(plan, task.recipe, len(task.train_rows)))
@@ -232,7 +234,7 @@ class Loop:
             after_step()
 
     def _take(self, batch: Batch) -> None:
-        on_device = Batch(*(t.to(self.fabric.device, non_blocking=True) for t in batch))
+        on_device = _to(batch, self.fabric.device)
         loss = self.network(on_device)
         self.optimizer.zero_grad(set_to_none=True)
         self.fabric.backward(loss)
@@ -284,3 +286,12 @@ class Loop:
         log.info("%s", json.dumps(self.history[-1]))
         self.loss_sum, self.in_interval = 0.0, 0
         self.timed, self.timed_since = 0, time.perf_counter()
+
+
+def _to(batch: Batch, device: torch.device) -> Batch:
+    moved = {
+        name: tensor.to(device, non_blocking=True)
+        for name, tensor in batch._asdict().items()
+        if tensor is not None
+    }
+    return Batch(**moved)

@@ -117,7 +117,7 @@ def _ascii(body: bytes, layout: np.dtype, rows: int) -> list[NDArray]:
     if rows == 0:
         return [np.zeros((0, 1)) for _ in layout.names or ()]
     table = np.loadtxt(io.BytesIO(b"\n".join(lines)), ndmin=2, comments=None)
-    counts = [layout[i].shape[0] for i in range(len(layout))]
+    counts = [layout[name].shape[0] for name in layout.names or ()]
     if table.shape[1] != sum(counts):
         raise InputError(
             f"the PCD has {table.shape[1]} numbers a point, its header says {sum(counts)}"
@@ -153,8 +153,8 @@ def _compressed(body: bytes, layout: np.dtype, rows: int) -> list[NDArray]:
         )
     data = decompress(body[8 : 8 + packed], size)
     columns, at = [], 0
-    for i in range(len(layout)):
-        kind, (count,) = layout[i].base, layout[i].shape
+    for name in layout.names or ():
+        kind, (count,) = layout[name].base, layout[name].shape
         columns.append(np.frombuffer(data, kind, rows * count, at).reshape(rows, count))
         at += rows * count * kind.itemsize
     return columns

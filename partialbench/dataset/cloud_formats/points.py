@@ -94,7 +94,8 @@ def unit_normals(points: Points) -> NDArray[np.float64] | None:
     """
     if points.normals is None:
         return None
-    length = np.linalg.norm(points.normals, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # any numbers may stand in columns 4 to 6
+        length = np.linalg.norm(points.normals, axis=1)
     good = np.isfinite(length) & (length > 0)
     if not points.named:
         good &= np.abs(length - 1) < 0.01

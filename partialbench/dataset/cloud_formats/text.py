@@ -28,6 +28,8 @@ NUMBER = re.compile(
 )
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?", re.ASCII)
 _ZERO_AHEAD = re.compile(r"(?:^|,)[ \t]*(?:[+-]?0\d+|-0)[ \t]*(?:,|$)", re.ASCII)
+# NumPy takes these for white space.
+_NO_TEXT = re.compile(r"[\0-\x08\x0b-\x1f\x7f-\xa0\u1680\u2000-\u200f\u2028-\u202f\u205f\u3000]")
 _COMMENT = ("#", "//", "%")
 _HEADER_LINES = 20
 """So many lines without numbers may stand above the table."""
@@ -121,7 +123,8 @@ def _table_lines(text: str) -> tuple[list[_Line], list[_Line]]:
             if not lines:
                 comments.append(_Line(number, bare.lstrip("#/% \t")))
             continue
-        bare = bare.partition("#")[0].rstrip(" \t")
+        if "#" in bare:  # a comment behind numbers, not a sign within one
+            bare = re.split(r"[ \t]#", bare, maxsplit=1)[0].rstrip(" \t")
         if bare:
             lines.append(_Line(number, bare))
     return lines, comments
@@ -201,6 +204,8 @@ def _numbers(lines: list[_Line], separator: str) -> NDArray[np.float64]:
     """The table, (n,c) float64."""
     closed = bool(separator) and all(line.text.endswith(separator) for line in lines)
     texts = [line.text[:-1] if closed else line.text for line in lines]
+    if odd := _NO_TEXT.search("\n".join(texts)):
+        raise InputError(f"has the sign {odd[0]!r} among its numbers: it is damaged, or no text")
     try:
         return np.loadtxt(texts, ndmin=2, delimiter=separator or None, comments=None)
     except ValueError:

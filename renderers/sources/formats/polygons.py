@@ -76,17 +76,26 @@ class Polygons:
         )
 
     def require_sound(self) -> None:
-        """Raise ``InputError`` for a vertex that is no point or a corner that names none."""
-        finite = np.isfinite(self.vertices)
-        if not finite.all():
-            k = int(np.flatnonzero(~finite.all(axis=1))[0])
-            raise InputError(f"vertex {k} is {self.vertices[k].tolist()}; expected finite numbers")
+        """Raise ``InputError`` for a corner that names no vertex, or one that is no point."""
         outside = (self.corners < 0) | (self.corners >= len(self.vertices))
         if outside.any():
             raise InputError(
                 f"a face names vertex {self.corners[outside][0]}; the file's vertices are 0 to "
                 f"{len(self.vertices) - 1}"
             )
+        bad = self._not_finite()
+        if len(bad) and len(wrong := np.intersect1d(bad, self.corners)):
+            k = int(wrong[0])
+            raise InputError(f"vertex {k} is {self.vertices[k].tolist()}; expected finite numbers")
+
+    def unused(self) -> tuple[str, ...]:
+        """What there is to say of vertices that no face uses: where some are no points."""
+        count = len(self._not_finite())
+        return (f"{count} vertices that no face uses are no finite points",) if count else ()
+
+    def _not_finite(self) -> NDArray[np.int64]:
+        finite = np.isfinite(self.vertices)
+        return np.flatnonzero(~finite.all(axis=1)) if not finite.all() else np.zeros(0, np.int64)
 
     def triangles(self) -> tuple[NDArray[np.int64], tuple[str, ...]]:
         """The faces cut into triangles, and what there is to say about it.

@@ -1,0 +1,79 @@
+// What a row opens to.
+function details(column, row) {
+  const more = row.more, card = DATA.cards[row.model], width = Math.min(innerWidth - 80, 430);
+  const list = items => h("ul", {}, items.filter(Boolean).map(item => h("li", {}, item)));
+  const classes = [...more.per_class].sort((a, b) => a[1] - b[1]);
+  return h("div", { class: "cards" },
+    h("div", { class: "wide" }, h("h3", {}, "Run it"), h("pre", { tabindex: "0" }, h("code", {}, more.command)),
+      h("button", { type: "button", class: "plain", "data-key": "copy", onclick: event => copy(more.command, event.target) }, "copy"),
+      " ", h("a", { href: address({ row: row.id }) }, "link to this row")),
+    h("div", {}, h("h3", {}, "Card"), list([
+      card.paper, card.reference && `after ${card.reference}${card.licence ? ` (${card.licence})` : ""}`,
+      card.links.length > 0 && card.links.map(([label, url]) => [h("a", { href: url, rel: "noreferrer" }, label), " "]),
+      `claims invariance to ${row.claims.join(", ") || "nothing"}; turned, its logits move by ${percent(row.turned)} % of their size`,
+      ...card.choices.map(text => `choice: ${text}`), ...card.deviations.map(text => `deviates: ${text}`),
+      ...more.deviations.map(text => `this run: ${text}`),
+    ])),
+    h("div", {}, h("h3", {}, "Training"), list([
+      `${thousands(more.training.clouds)} clouds seen in ${row.minutes.toFixed(1)} min, ${thousands(more.training.per_second)} a second`,
+      `on ${more.training.device}; commit ${more.training.commit}`,
+      `seeds ${more.training.seeds.join(", ")}; weights ${more.training.weights.join(", ")}`,
+      `input ${row.input}`,
+    ]), learning(column, [row], width), trainingLog(more.log, width)),
+    h("div", {}, h("h3", {}, "Classes, the hardest first"), h("div", { class: "bars", tabindex: "0", role: "region", "aria-label": "accuracy per class" }, classes.map(([label, value]) => [
+      h("span", {}, label),
+      s("svg", { viewBox: "0 0 100 6", preserveAspectRatio: "none", "aria-hidden": "true" }, s("rect", { width: 100 * value, height: 6 })),
+      h("span", {}, percent(value))]))),
+    h("div", {}, h("h3", {}, "Confusion"), confusionMatrix(column.classes, more.per_class, more.confusions, width),
+      h("p", { class: "about" }, `True class down, answer across; blue is right. The ${more.confusions.length} most frequent confusions of all seeds.`),
+      list(more.confusions.slice(0, 5).map(([i, j, value]) => `${column.classes[i]} named ${column.classes[j]}: ${percent(value)} %`))),
+    h("div", {}, h("h3", {}, "Calibration"), reliability(row, width)),
+    more.visibility.length > 2 && h("div", {}, h("h3", {}, "Share of the surface that is seen"), lineChart({
+      caption: "Accuracy against the share of the object's surface that the camera sees.", width,
+      series: [{ name: row.title, points: more.visibility.map(([x, y]) => [100 * x, 100 * y]) }],
+      x: { label: "visible surface (%)", text: v => String(+v.toFixed(0)) }, y: { label: "accuracy (%)", least: 0, most: 100 },
+    })));
+}
+
+function copy(text, button) {
+  navigator.clipboard?.writeText(text).then(() => { button.textContent = "copied"; }, () => { button.textContent = "select it and copy by hand"; });
+}
+
+function reliability(row, width) {
+  const points = row.more.reliability.map(([x, y]) => [100 * x, 100 * y]);
+  return lineChart({
+    caption: `Right as often as it says? On the diagonal confidence is what it claims; the mean gap is ${percent(row.calibration)} points.`, width,
+    series: [{ name: row.title, points }, { name: "exactly as sure as it is right", points: [[0, 0], [100, 100]] }],
+    x: { label: "confidence (%)", text: v => String(v) }, y: { label: "share that is right (%)", least: 0, most: 100 },
+  }) || h("p", { class: "about" }, `The mean gap between confidence and accuracy is ${percent(row.calibration)} points.`);
+}
+
+function trainingLog(log, width) {
+  return Object.entries(log).filter(([, values]) => values.length > 2).map(([name, values]) => {
+    const scale = name.endsWith("accuracy") ? 100 : 1;
+    return lineChart({
+      caption: `${name} over the training: ${(scale * values[0]).toPrecision(3)} → ${(scale * values.at(-1)).toPrecision(3)}.`, width,
+      series: [{ name, points: values.map((v, i) => [100 * i / (values.length - 1), scale * v]) }],
+      x: { label: "share of the training (%)", text: v => String(v) }, y: { label: scale === 100 ? `${name} (%)` : name },
+    });
+  });
+}
+
+const MOST_FAR = 3;  // more intervals on one spot hide each other
+
+// Accuracy over clouds seen, with what a power law expects of more where there are milestones enough.
+function learning(column, rows, width) {
+  const curves = DATA.curves[column.group] || {};
+  const series = rows.filter(row => curves[row.id]).map((row, i) => ({
+    name: row.title,
+    points: curves[row.id].points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]),
+    far: i < MOST_FAR && curves[row.id].far && { x: DATA.far, y: 100 * curves[row.id].far[0], low: 100 * curves[row.id].far[1], high: 100 * curves[row.id].far[2] },
+  }));
+  const far = series.filter(each => each.far);
+  const told = far.map(({ name, far: f }) => `${name} ${f.y.toFixed(1)} % (${f.low.toFixed(1)} – ${f.high.toFixed(1)})`).join("; ");
+  return lineChart({
+    caption: "Accuracy over the training clouds seen, with 95 % intervals over test objects." +
+      (far.length ? ` Dashed, an extrapolation, not a result: a power law of the error, fitted to the milestones, at ${engineering(DATA.far)} clouds: ${told} (95 % prediction interval).` : ""),
+    series, width, x: { log: true, label: "training clouds seen" }, y: { label: "accuracy (%)", most: 100, least: 0 },
+  });
+}

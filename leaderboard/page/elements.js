@@ -1,0 +1,48 @@
+// Elements made from data: text is always text, never markup.
+const SVG = "http://www.w3.org/2000/svg";
+
+function fill(node, attributes, children) {
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
+    else node.setAttribute(name, value === true ? "" : value);
+  }
+  for (const child of children.flat(Infinity)) {
+    if (child !== null && child !== undefined && child !== false) node.append(child);
+  }
+  return node;
+}
+
+const h = (tag, attributes, ...children) => fill(document.createElement(tag), attributes, children);
+const s = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
+
+const dash = "–";
+const percent = share => (share === null || share === undefined ? dash : (100 * share).toFixed(1).replace("-", "−"));
+const range = (low, high) => (low === null ? "" : `${percent(low)} – ${percent(high)}`);
+const thousands = number => number.toLocaleString("en-US");
+const engineering = count => {
+  for (const [unit, size] of [["G", 1e9], ["M", 1e6], ["k", 1e3]]) {
+    if (count >= size) return `${+(count / size).toPrecision(3)} ${unit}`;
+  }
+  return String(Math.round(count));
+};
+
+// What a heading means, on hover, on focus and on tap.
+const tip = document.getElementById("tip");
+function showTip(target, text) {
+  tip.textContent = text;
+  tip.hidden = false;
+  const box = target.getBoundingClientRect();
+  tip.style.left = `${Math.max(8, Math.min(box.left, innerWidth - tip.offsetWidth - 8))}px`;
+  const below = box.bottom + 6;
+  tip.style.top = `${below + tip.offsetHeight > innerHeight ? box.top - tip.offsetHeight - 6 : below}px`;
+}
+const hideTip = () => { tip.hidden = true; };
+addEventListener("keydown", event => { if (event.key === "Escape") hideTip(); });
+addEventListener("scroll", hideTip, { passive: true, capture: true });
+
+const explained = (text, label) => h("button", {
+  type: "button", class: "help", "aria-label": `what ${label} means`,
+  onfocus: event => showTip(event.target, text), onblur: hideTip,
+  onclick: event => { event.stopPropagation(); showTip(event.target, text); },
+}, "?");

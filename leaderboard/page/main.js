@@ -1,0 +1,124 @@
+// The page for the state in the address.
+const main = document.getElementById("main");
+const EMPTY = {
+  partial: "No model was tested on partial views yet.",
+  complete: "No model was tested on complete clouds yet. Render a data set with --setting aligned or rotated, and run eval on it.",
+  transfer: "No model was tested on another data set than its own yet: partialbench eval … --test-data FOLDER.",
+  noise: "No model was tested on other clouds than it was trained for yet: partialbench eval … --checkpoint FILE --test-points 64, or --test-data with a folder rendered with --sensor.",
+  pose: "No model that finds poses was tested yet; papnet and papnet-steered do.",
+  cost: "No model was tested yet.",
+};
+const POSES = { own: "its own pose", 0: "the true pose", random: "a random pose" };
+
+function choices(id, label, options, value, change) {
+  if (options.length < 2) return h("span", {}, `${label} `, h("strong", {}, options[0]?.[1] || dash));
+  return h("label", {}, `${label} `, h("select", { id, "data-key": id, onchange: event => change(event.target.value) },
+    options.map(([key, title]) => h("option", { value: key, selected: key === value }, title))));
+}
+
+function controls(column) {
+  const here = columnsOf(state.tab), groups = new Map(here.map(c => [c.group, c.title]));
+  const milestones = here.filter(c => c.group === state.data).sort((a, b) => a.clouds - b.clouds);
+  return h("div", { class: "controls" },
+    choices("data-set", "Data", [...groups], state.data, group => go({ data: group, clouds: "", row: "" })),
+    choices("milestone", "Training clouds seen", milestones.map(c => [c.milestone, `${c.milestone} (${models(c)} model${models(c) === 1 ? "" : "s"})`]), state.clouds, clouds => go({ clouds })),
+    h("label", {}, "Model ", h("input", { type: "search", id: "filter", "data-key": "filter", value: state.q, placeholder: "part of a name", oninput: event => {
+      history.replaceState(null, "", address({ q: event.target.value })); state.q = event.target.value;
+      document.getElementById("table").replaceChildren(table(column));
+    } })),
+    picker(column));
+}
+
+function conditions(column, width) {
+  return column.conditions.map(family => h("section", {}, h("h2", {}, `Against the ${family.axis}`),
+    h("p", { class: "about" }, "The same weights throughout, tested on other clouds than they were trained for. In brackets the 95 % interval over test objects."),
+    lineChart({
+      caption: `Accuracy against the ${family.axis}.`, width,
+      series: family.rows.map(row => ({ name: row.title, points: row.points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]) })),
+      x: { log: family.condition === "points", label: family.axis, text: String, places: [...new Set(family.rows.flatMap(row => row.points.map(p => p[0])))].sort((a, b) => a - b) },
+      y: { label: "accuracy (%)", least: 0, most: 100 },
+    }),
+    grid([`model`, ...[...new Set(family.rows.flatMap(row => row.points.map(p => p[0])))].sort((a, b) => a - b)],
+      family.rows, (row, x) => { const p = row.points.find(point => point[0] === x); return p && [p[1], p[2], p[3]]; })));
+}
+
+function given(column) {
+  if (!column.given) return null;
+  const title = pose => POSES[pose] || `± ${pose}°`;
+  return h("section", {}, h("h2", {}, "What the pose is worth"),
+    h("p", { class: "about" }, "Accuracy (%) of the same weights with the pose they find themselves, and told the labelled one, that with noise on every Euler angle, or one at random. Gain: of the true pose over its own, paired."),
+    grid(["model", ...column.given.poses, "gain"], column.given.rows, (row, pose) => (pose === "gain" ? row.gain : row.accuracy[pose]), pose => (pose === "gain" ? pose : title(pose))));
+}
+
+// A table of means with their intervals.
+function grid([first, ...places], rows, value, heading = String) {
+  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "table" }, h("table", {},
+    h("thead", {}, h("tr", {}, h("th", { class: "name text", scope: "col" }, first), places.map(place => h("th", { scope: "col" }, heading(place))))),
+    h("tbody", {}, rows.map(row => h("tr", {}, h("td", { class: "name text" }, row.title), places.map(place => {
+      const found = value(row, place);
+      return h("td", {}, found ? [percent(found[0]), h("span", { class: "quiet" }, found[1] === null ? "" : ` (${range(found[1], found[2])})`)] : dash);
+    }))))));
+}
+
+function whatItShows(column, width) {
+  const main = column.rows.filter(row => row.main), steps = column.settings;
+  const settings = steps && lineChart({
+    caption: `From complete clouds in a known pose to what one side shows: accuracy of the same models after ${steps.milestone} clouds.`, width,
+    series: steps.rows.map(row => ({ name: row.title, points: row.shares.flatMap((share, i) => (share === null ? [] : [[i, 100 * share]])) })),
+    x: { label: "what is tested", places: steps.settings.map((_, i) => i), text: i => steps.settings[i] }, y: { label: "accuracy (%)", least: 0, most: 100 },
+  });
+  const cost = state.tab === "cost" && lineChart({
+    caption: "Accuracy against the multiply-adds of one cloud.", width, lines: false,
+    series: main.map(row => ({ name: row.title, points: [[Math.max(row.multiply_adds, 1), 100 * row.accuracy, row.low && 100 * row.low, row.high && 100 * row.high]] })),
+    x: { log: true, label: "multiply-adds of one cloud" }, y: { label: "accuracy (%)", most: 100, least: 0 },
+  });
+  const topK = state.tab === "pose" && lineChart({
+    caption: "Share of clouds whose true pose bin is among the k most probable of the 60.", width,
+    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
+    x: { label: "k", text: String }, y: { label: "share of clouds (%)", least: 0, most: 100 },
+  });
+  return h("section", { id: "shows" }, h("h2", {}, "What this shows"),
+    h("ul", { class: "facts" }, column.facts.map(text => h("li", {}, text))),
+    h("div", { class: "figures" }, cost, topK, learning(column, main, width), settings));
+}
+
+function behindAClick(column) {
+  const section = (title, ...content) => h("details", { class: "section", "data-open": title }, h("summary", { "data-key": `open-${title}` }, title), content);
+  const others = DATA.layouts.filter(layout => layout.title.includes(column.name) || !DATA.columns.some(c => layout.title.includes(c.name)));
+  return h("section", { id: "more" }, h("h2", {}, "More"),
+    section("Downloads", downloads(column)),
+    section("Data, protocol and digests", h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card."),
+      column.reported && h("p", { class: "about" }, `The figures in the column “paper's figure” are: ${column.reported}.`)),
+    others.map(layout => section(layout.title, h("p", { class: "about" }, layout.about), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": layout.title }, h("table", {},
+      h("thead", {}, h("tr", {}, layout.head.map((text, i) => h("th", { scope: "col", class: i ? null : "name text" }, text)))),
+      h("tbody", {}, layout.rows.map(row => h("tr", {}, row.map((text, i) => h("td", { class: i ? null : "name text" }, text))))))))));
+}
+
+function show() {
+  readAddress();
+  const focus = document.activeElement?.dataset?.key, opened = [...main.querySelectorAll("details[data-open][open]")].map(d => d.dataset.open);
+  const scroll = [scrollX, scrollY], across = main.querySelector("#table .scroll")?.scrollLeft || 0;
+  const column = current(), width = Math.min(main.clientWidth, 620);
+  const tabs = h("nav", { "aria-label": "what is tested" }, TABS.map(([tab, title]) => h("a", {
+    href: address({ tab, data: "", clouds: "", sort: "", dir: "", cols: "", row: "" }), "aria-current": tab === state.tab ? "page" : null, "data-key": `tab-${tab}`,
+  }, title)));
+  hideTip();
+  main.replaceChildren(tabs, ...(column ? [
+    controls(column), state.tab === "noise" && h("div", {}, conditions(column, width)),
+    h("h2", { class: state.tab === "noise" ? null : "unseen" }, state.tab === "noise" ? "On clouds as they were trained for" : "Results"),
+    h("div", { id: "table" }, table(column)), h("p", { class: "about" }, column.about), state.tab === "pose" && given(column),
+    whatItShows(column, width), gallery(column), behindAClick(column),
+  ].filter(Boolean) : [h("p", { class: "note", id: "empty" }, EMPTY[state.tab])]));
+  for (const each of main.querySelectorAll("details[data-open]")) each.open = opened.includes(each.dataset.open);
+  main.querySelector("#table .scroll")?.scrollTo(across, 0);
+  if (focus) main.querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus({ preventScroll: true });
+  scrollTo(...scroll);
+}
+
+addEventListener("popstate", show);
+addEventListener("hashchange", show);
+// Charts are drawn to the width there is; a phone's address bar changes the height alone.
+let drawnAt = innerWidth;
+addEventListener("resize", () => { if (innerWidth !== drawnAt) { drawnAt = innerWidth; show(); } });
+show();
+if (state.row) main.querySelector("tr.detail")?.previousElementSibling.scrollIntoView();

@@ -1,0 +1,219 @@
+"""A row of the page as JSON data: the figures of its line, and what it opens to."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leaderboard.board import Cell, Column, ranked
+from leaderboard.comparison import LEVEL, Comparison, counted
+from leaderboard.page.command import reproduce
+from leaderboard.words import crosses, model_input, paper_score, row_title
+from partialbench.benchmark.records.origin import clouds_before
+from partialbench.benchmark.records.predictions import Predictions
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.testing.metrics import confusion
+
+FEW_CLOUDS = 10
+"""A share of fewer clouds says little, and is not drawn."""
+CONFUSIONS = 40
+"""Pairs of classes that a row keeps, the most frequent first."""
+BINS = 10
+"""Of the reliability diagram."""
+LOG_POINTS = 24
+"""Of a training curve; a longer one is thinned."""
+_GITHUB = re.compile(r"([A-Za-z0-9_.-]+/[A-Za-z0-9_.-]+)@([0-9a-f]{7,40})")
+_ARXIV = re.compile(r"arXiv:(\d{4}\.\d{4,5})")
+
+
+def main_rows(column: Column) -> list[str]:
+    """One row a model, best first: as its card declares it.
+
+    A variant stands for its model only where that was not run as declared; then it is the most
+    accurate one. The best of many variants would be chosen on the test set.
+    """
+    chosen: dict[str, str] = {}
+    for name in ranked(column):
+        result = column.cells[name].results[0]
+        if not result.variant or result.model not in chosen:
+            chosen[result.model] = name
+    return sorted(chosen.values(), key=lambda name: (-column.cells[name].mean(), name))
+
+
+def rows_of(column: Column, comparison: Comparison, folder: Path) -> list[dict[str, Any]]:
+    """Every row of a column, best first."""
+    main = main_rows(column)
+    return [_row(column, comparison, name, main, folder) for name in ranked(column)]
+
+
+def _row(
+    column: Column, comparison: Comparison, name: str, main: list[str], folder: Path
+) -> dict[str, Any]:
+    cell = column.cells[name]
+    first, cost, scores = cell.results[0], cell.cost, cell.results[0].scores
+    low, high = comparison.intervals[name]
+    alone = scores["accuracy_without_duplicates"] is not None and scores["duplicates"]
+    training = first.training
+    paper = paper_score(column, first)
+    return {
+        "id": name,
+        "model": first.model,
+        "title": row_title(first),
+        "main": name in main,
+        "rank": _rank(name, main, comparison) if name in main else None,
+        "accuracy": _short(cell.mean()),
+        "std": _short(cell.std()),
+        "low": _short(low),
+        "high": _short(high),
+        "behind": _behind(main[0], name, comparison),
+        "groups": " ".join(map(str, comparison.groups[name])),
+        "over_classes": _short(cell.mean("class_accuracy")),
+        "without_duplicates": _short(cell.mean("accuracy_without_duplicates")) if alone else None,
+        "shared": _short(cell.mean("restricted_accuracy")) if crosses(column) else None,
+        "calibration": _short(cell.mean("calibration_error")),
+        "pose": None if cell.pose is None else {k: _short(v) for k, v in cell.pose._asdict().items()},
+        "claims": sorted(first.card["invariances"]),
+        "turned": _short(cell.drift),
+        "input": model_input(first),
+        "parameters": cost["parameters"],
+        "multiply_adds": cost["multiply_adds"],
+        "milliseconds": _short(cost["batch_ms"]),
+        "memory": training["peak_memory_bytes"],
+        "seen": training["clouds_seen"] + clouds_before(training.get("start")),
+        "minutes": _short(training["seconds"] / 60),
+        "seeds": cell.seeds,
+        "paper": None if paper is None else _short(paper / 100),
+        "more": _details(column, cell, folder),
+    }  # fmt: skip
+
+
+def _rank(name: str, main: list[str], comparison: Comparison) -> int:
+    """1 and one more for each row that is better beyond doubt (the paired test, Holm's level)."""
+    better = (
+        other
+        for other in main
+        if (other, name) in comparison.p_values
+        and comparison.p_values[other, name] <= LEVEL
+        and comparison.differences[other, name][0] > 0
+    )
+    return 1 + sum(1 for _ in better)
+
+
+def _behind(best: str, name: str, comparison: Comparison) -> list[float | None] | None:
+    """Points behind the first line, with the interval; negative for a variant that is ahead."""
+    if (best, name) in comparison.differences:
+        return [_short(value) for value in comparison.differences[best, name]]
+    if (name, best) in comparison.differences:
+        mean, low, high = comparison.differences[name, best]
+        return [_short(value) for value in (-mean, -high, -low)]
+    return None
+
+
+def _details(column: Column, cell: Cell, folder: Path) -> dict[str, Any]:
+    first, training = cell.results[0], cell.results[-1].training
+    tested = [counted(result, folder) for result in cell.results]
+    environments = [*training.get("earlier_environments", []), training["environment"]]
+    return {
+        "command": reproduce(cell.results),
+        "deviations": first.deviations,
+        "per_class": [[label, _short(share)] for label, share in cell.per_class.items()],
+        "confusions": _confusions(first, tested),
+        "reliability": _reliability(tested),
+        "visibility": _visibility(cell),
+        "ensemble": _mean_curve([r.scores["ensemble"] for r in cell.results]),
+        "top_k": _mean_curve([(r.scores["pose"] or {}).get("top_k") for r in cell.results]),
+        "log": {
+            title: _thinned(training["curve"][key])
+            for key, title in (("train_loss", "training loss"),
+                               ("validation_accuracy", "validation accuracy"))
+        },
+        "training": {
+            "clouds": training["clouds_seen"],
+            "per_second": round(training["clouds_per_second"]),
+            "device": ", then ".join(
+                dict.fromkeys(f"{place['device']} ({place['cpu']})" for place in environments)
+            ),
+            "commit": (training["environment"]["git_commit"] or "none")[:12],
+            "weights": [r.weights_sha256[:12] for r in cell.results],
+            "seeds": [r.seed for r in cell.results],
+        },
+    }  # fmt: skip
+
+
+def _confusions(first: Result, tested: list[tuple[Predictions, NDArray]]) -> list[list[Any]]:
+    """[true class, named class, share of the true class's clouds], over all seeds."""
+    names = first.train_data.class_names
+    counts = sum(confusion(label, p.predicted, len(names)) for p, label in tested)
+    assert isinstance(counts, np.ndarray)
+    totals = counts.sum(axis=1)
+    wrong = counts - np.diag(np.diag(counts))
+    order = np.argsort(-wrong, axis=None, kind="stable")[:CONFUSIONS]
+    return [
+        [int(i), int(j), _short(float(wrong[i, j] / totals[i]))]
+        for i, j in zip(*np.unravel_index(order, wrong.shape), strict=True)
+        if wrong[i, j]
+    ]
+
+
+def _reliability(tested: list[tuple[Predictions, NDArray]]) -> list[list[Any]]:
+    """[mean confidence, share that is right, clouds] of equal bins of confidence that have any."""
+    confidence = np.concatenate(
+        [np.exp(p.log_probabilities[:, 0].astype(float)) for p, _ in tested]
+    )
+    right = np.concatenate([p.predicted == label for p, label in tested])
+    which = np.clip(np.ceil(confidence * BINS).astype(int) - 1, 0, BINS - 1)
+    return [
+        [_short(float(confidence[here].mean())), _short(float(right[here].mean())), int(here.sum())]
+        for here in (which == i for i in range(BINS))
+        if here.any()
+    ]
+
+
+def _visibility(cell: Cell) -> list[list[float | None]]:
+    """[middle of the bin, accuracy over seeds], as shares, where there are enough clouds."""
+    seeds = [result.scores["visibility"] for result in cell.results]
+    return [
+        [(bin_["from"] + bin_["to"]) / 2, _short(float(np.mean([s[i]["accuracy"] for s in seeds])))]
+        for i, bin_ in enumerate(seeds[0])
+        if bin_["clouds"] >= FEW_CLOUDS
+    ]
+
+
+def _mean_curve(seeds: list[Any]) -> list[float | None]:
+    return [_short(float(v)) for v in np.mean(seeds, axis=0)] if all(seeds) else []
+
+
+def _thinned(values: list[float | None]) -> list[float | None]:
+    """At most ``LOG_POINTS`` of them, evenly spaced, the first and the last among them."""
+    chosen = np.unique(np.linspace(0, len(values) - 1, min(LOG_POINTS, len(values))).round())
+    kept = [values[int(i)] for i in chosen]
+    return [] if None in kept else [_short(value) for value in kept]
+
+
+def _short(value: float | None) -> float | None:
+    """Four digits; None for what is not a number."""
+    return None if value is None or math.isnan(value) else float(f"{value:.4g}")
+
+
+def card(result: Result) -> dict[str, Any]:
+    """What the page shows of a model's card; links are of (text, address) pairs."""
+    stored = result.card
+    return {
+        "title": stored["title"],
+        "paper": stored["paper"],
+        "reference": stored["reference"],
+        "licence": stored["reference_licence"],
+        "choices": list(stored["choices"]),
+        "deviations": list(stored["deviations"]),
+        "links": [
+            *([f"arXiv:{found}", f"https://arxiv.org/abs/{found}"]
+              for found in _ARXIV.findall(stored["paper"])),
+            *([f"{name}@{commit[:7]}", f"https://github.com/{name}/tree/{commit}"]
+              for name, commit in _GITHUB.findall(stored["reference"])),
+        ],
+    }  # fmt: skip

@@ -1,0 +1,97 @@
+// The table of one column of results.
+function sorting(columns) {
+  const by = columns.find(c => c.id === state.sort) || columns.find(c => c.id === (state.tab === "pose" ? "pose" : "accuracy")) || columns[0];
+  const best = by.best === "high" ? "descending" : "ascending";
+  return { by, direction: by.id === state.sort && state.dir === "worst" ? (best === "ascending" ? "descending" : "ascending") : best };
+}
+
+// Missing values come last either way; equals keep the order of accuracy.
+function sorted(rows, { by, direction }) {
+  const sign = direction === "ascending" ? 1 : -1;
+  return rows.map((row, i) => [by.value(row), i, row]).sort(([a, i], [b, j]) => {
+    const missing = v => v === null || v === undefined || v === "";
+    if (missing(a) || missing(b)) return missing(a) - missing(b) || i - j;
+    return sign * (typeof a === "string" ? a.localeCompare(b, "en") : a - b) || i - j;
+  }).map(([, , row]) => row);
+}
+
+function table(column) {
+  const columns = shownColumns(column), order = sorting(columns);
+  const asked = state.q.trim().toLowerCase(), unfolded = state.variants ? state.variants.split("|") : [];
+  const fits = row => row.title.toLowerCase().includes(asked) || row.model.toLowerCase().includes(asked);
+  const seen = state.tab === "pose" ? column.rows.filter(row => row.pose) : column.rows;
+  const bounds = seen.flatMap(row => [row.accuracy, row.low, row.high]).filter(v => v !== null);
+  const [low, high] = [Math.min(...bounds), Math.max(...bounds)];
+  const main = sorted(seen.filter(row => row.main && fits(row)), order);
+  const variants = row => seen.filter(other => other.model === row.model && !other.main);
+  const lines = main.flatMap(row => [row, ...(unfolded.includes(row.model) ? sorted(variants(row), order) : [])]);
+  // A link to a variant's row shows that row.
+  const linked = seen.find(row => row.id === state.row);
+  if (linked && fits(linked) && !lines.includes(linked)) lines.push(linked);
+
+  const head = h("tr", {}, columns.map(c => h("th", {
+    scope: "col", class: [c.id === "model" && "name", c.text && "text"].filter(Boolean).join(" ") || null,
+    "aria-sort": c === order.by ? order.direction : null,
+    onmouseenter: event => showTip(event.currentTarget, c.help), onmouseleave: hideTip,
+  }, h("button", {
+    type: "button", class: "sort", "data-key": `sort-${c.id}`,
+    onclick: () => go({ sort: c.id, dir: c === order.by && state.dir !== "worst" ? "worst" : "" }),
+  }, c.title), explained(c.help, c.title))));
+
+  const body = lines.flatMap(row => {
+    const open = state.row === row.id;
+    const others = row.main ? variants(row) : [];
+    const folded = !unfolded.includes(row.model);
+    const name = [
+      h("button", { type: "button", class: "open", "aria-expanded": String(open), "data-key": `row-${row.id}`, onclick: () => go({ row: open ? "" : row.id }) }, row.title),
+      others.length > 0 && h("button", {
+        type: "button", class: "more plain", "aria-expanded": String(!folded), "data-key": `variants-${row.model}`,
+        onclick: () => go({ variants: (folded ? [...unfolded, row.model] : unfolded.filter(m => m !== row.model)).join("|") }),
+      }, `${others.length} variant${others.length > 1 ? "s" : ""}`),
+    ];
+    const cells = columns.map(c => h("td", { class: c.id === "model" ? "name text" : c.text ? "text" : null }, c.id === "model" ? name : c.show(row, low, high)));
+    const line = h("tr", { class: row.main ? "row" : "row variant", "data-row": row.id }, cells);
+    return open ? [line, h("tr", { class: "detail" }, h("td", { colspan: columns.length }, details(column, row)))] : [line];
+  });
+  return h("div", { class: linked ? "scroll open" : "scroll", tabindex: "0", role: "region", "aria-label": "table of models" },
+    h("table", { class: "board" }, h("thead", {}, head), h("tbody", {}, body)),
+    !lines.length && h("p", { class: "note" }, asked ? `No model's name has “${state.q}” in it.` : "No rows."));
+}
+
+function picker(column) {
+  const now = shownColumns(column).map(c => c.id);
+  return h("details", { class: "picker", "data-open": "picker" }, h("summary", { "data-key": "picker" }, "Columns"), h("div", {},
+    COLUMNS.filter(c => c.id !== "model").map(c => h("label", {}, h("input", {
+      type: "checkbox", checked: now.includes(c.id), "data-key": `col-${c.id}`,
+      onchange: event => go({ cols: event.target.checked ? [...now, c.id].join(" ") : now.filter(id => id !== c.id).join(" ") }, true),
+    }), ` ${c.title}`)),
+    h("button", { type: "button", class: "plain", "data-key": "cols-reset", onclick: () => go({ cols: "" }) }, "as it was")));
+}
+
+// The table that is shown, as a file. Numbers are as they are in the records, shares in [0, 1].
+const FILES = {
+  CSV: column => text(column, rows => rows.map(row => row.map(cell => (/[",\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell)).join(",")).join("\n")),
+  JSON: column => JSON.stringify({ column: column.name, about: column.about, rows: column.rows.map(({ more, ...row }) => row) }, null, 1),
+  LaTeX: column => text(column, ([head, ...rows]) => [
+    `% ${column.name}. ${column.about}`, `\\begin{tabular}{l${"r".repeat(head.length - 1)}}`, "\\hline",
+    ...[head, ...rows].map(row => `${row.map(latex).join(" & ")} \\\\`), "\\hline", "\\end{tabular}"].join("\n")),
+};
+const LATEX = { "\\": "\\textbackslash{}", "&": "\\&", "%": "\\%", "$": "\\$", "#": "\\#", "_": "\\_", "{": "\\{", "}": "\\}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "–": "--", "±": "$\\pm$", "°": "$^\\circ$", "→": "$\\rightarrow$" };
+const latex = cell => cell.replace(/[\\&%$#_{}~^–±°→]/g, sign => LATEX[sign]);
+
+function text(column, write) {
+  const columns = shownColumns(column).filter(c => c.id !== "rank" || !state.q);
+  const value = (c, row) => (c.id === "model" ? row.title : c.value(row) ?? "");
+  return `${write([columns.map(c => c.id), ...sorted(column.rows, sorting(columns)).map(row => columns.map(c => String(value(c, row))))])}\n`;
+}
+
+function downloads(column) {
+  return h("p", {}, "This table with all variants: ", Object.entries(FILES).map(([kind, make]) => [h("button", {
+    type: "button", class: "plain", "data-key": `download-${kind}`,
+    onclick: () => {
+      const url = URL.createObjectURL(new Blob([make(column)], { type: "text/plain" }));
+      h("a", { href: url, download: `${column.group}-${column.milestone}.${{ CSV: "csv", JSON: "json", LaTeX: "tex" }[kind]}` }).click();
+      URL.revokeObjectURL(url);
+    },
+  }, kind), " "]));
+}

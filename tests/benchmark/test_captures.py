@@ -1,0 +1,119 @@
+"""Captures that are no shape are refused; far ones, wide ones and folders of them are read."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from partialbench.benchmark.captures import read_points
+from partialbench.benchmark.predict import Classifier, find_checkpoint, predict
+from partialbench.cli import app
+from partialbench.errors import InputError
+from tests.benchmark.tiny_models import MODELS
+
+MODEL = f"{MODELS}:Posed"
+
+
+@pytest.fixture(scope="module")
+def weights(done):
+    return next((done[1] / "runs").glob("*seed0")) / "checkpoint.pt"
+
+
+def test_a_chair_far_away_stays_a_chair(weights, tmp_path, rng):
+    points = rng.standard_normal((200, 3)) * (0.3, 0.5, 1)
+    np.save(tmp_path / "near.npy", points)
+    np.save(tmp_path / "far.npy", points + (500_000, 4_649_776, 120))
+    near, far = (predict(weights, tmp_path / f"{n}.npy", model=MODEL) for n in ("near", "far"))
+    assert [name for name, _ in far.top] == [name for name, _ in near.top]
+    assert far.confidence == pytest.approx(near.confidence, abs=1e-3)
+    moved = read_points(tmp_path / "far.npy")
+    assert np.allclose(moved - moved.mean(0), points - points.mean(0), atol=1e-8)
+    assert np.array_equal(read_points(tmp_path / "near.npy"), points)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda p: p * 0 + 1, "1 distinct point among 200, at least 16"),
+        (lambda p: p[np.arange(200) % 15], "15 distinct points among 200"),
+        (lambda p: p * 1e30, r"extend over .*e\+30 units"),
+        (lambda p: p * 1e300, "extend over"),
+        (lambda p: p * 1e-30, "extend over .*e-30 units"),
+        (lambda p: p[:, :1] * (1, 2, 3), "all points lie on one line"),
+    ],
+)
+def test_what_is_no_shape_is_refused(tmp_path, rng, make, message):
+    np.save(tmp_path / "a.npy", make(rng.standard_normal((200, 3))))
+    with pytest.raises(InputError, match=message):
+        read_points(tmp_path / "a.npy")
+
+
+def test_depths_must_be_depths(tmp_path):
+    K = (60, 60, 16, 16)
+    depth = np.tile(np.arange(1000, 1032, dtype=np.uint16), (32, 1))
+    for name, image, message in (
+        ("full", np.where(depth > 1020, 65535, depth).astype(np.uint16), "352 of 1024 .* 65535"),
+        ("byte", np.where(depth > 1020, 255, 9).astype(np.uint8), "352 of 1024 .*uint8, 255"),
+        ("mask", np.where(depth > 1020, 1, 0).astype(np.uint16), "the one depth 1: a mask"),
+    ):
+        Image.fromarray(image).save(tmp_path / f"{name}.png")
+        with pytest.raises(InputError, match=message):
+            read_points(tmp_path / f"{name}.png", K)
+    Image.fromarray(depth).convert("L").convert("P").save(tmp_path / "palette.png")
+    with pytest.raises(InputError, match="a palette"):
+        read_points(tmp_path / "palette.png", K)
+    Image.fromarray(depth).save(tmp_path / "good.png")
+    assert len(read_points(tmp_path / "good.png", K, 0.001)) == 1024
+
+
+def test_an_array_of_more_columns_is_a_cloud_and_says_so(tmp_path, rng, caplog):
+    for columns in (4, 6, 7, 9):
+        points = rng.standard_normal((200, columns))
+        np.save(tmp_path / "a.npy", points)
+        caplog.clear()
+        for K in (None, (525, 525, 319.5, 239.5)):
+            assert np.array_equal(read_points(tmp_path / "a.npy", K), points[:, :3])
+        assert f"of {columns} columns the first three are taken" in caplog.text
+        # Intrinsics with a principal point inside mean a narrow image.
+        assert read_points(tmp_path / "a.npy", (9, 9, 2, 100)).shape[0] == (points > 0).sum()
+    np.save(tmp_path / "words.npy", np.array([["a", "b", "c"]] * 20))
+    with pytest.raises(InputError, match="no array of real numbers"):
+        read_points(tmp_path / "words.npy")
+
+
+def test_a_run_or_a_folder_of_results_stands_for_its_checkpoint(weights, tmp_path):
+    assert find_checkpoint(weights.parent) == find_checkpoint(weights) == weights
+    with pytest.raises(InputError, match="has 2 runs, give the folder of one: "):
+        find_checkpoint(weights.parents[2])
+    with pytest.raises(InputError, match="no checkpoint in"):
+        find_checkpoint(tmp_path)
+    assert Classifier(weights.parent, "auto", MODEL).device.type in ("cpu", "cuda")
+    for device, message in (("gpu", "must be auto, cpu"), ("cuda:99", "cuda")):
+        with pytest.raises(InputError, match=message):
+            Classifier(weights, device, MODEL)
+
+
+def test_one_bad_file_of_a_folder_does_not_end_it(weights, tmp_path, rng):
+    folder = tmp_path / "captures"
+    (folder / "sub").mkdir(parents=True)
+    np.save(folder / "a.npy", rng.standard_normal((80, 3)))
+    np.save(folder / "b.npy", np.ones((80, 3)))
+    (folder / "c.ply").write_text("ply")
+    np.savetxt(folder / "sub" / "d.xyz", rng.standard_normal((80, 3)))
+    (folder / "notes.md").write_text("mine")
+    command = ["predict", "--checkpoint", str(weights), "--model", MODEL, str(folder)]
+    ran = CliRunner().invoke(app, [*command, "--json"])
+    assert ran.exit_code == 1
+    lines = [json.loads(line) for line in ran.stdout.splitlines()]
+    assert [line["file"].rpartition("/")[2] for line in lines] == ["a.npy", "b.npy", "c.ply",
+                                                                   "d.xyz"]  # fmt: skip
+    assert ["error" in line for line in lines] == [False, True, True, False]
+    for name in ("b.npy", "c.ply"):
+        (folder / name).unlink()
+    ran = CliRunner().invoke(app, command)
+    assert ran.exit_code == 0
+    assert ran.stdout.count("%") == 2
