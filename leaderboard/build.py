@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from leaderboard import curves, damages, given, latex, tables
+from leaderboard import curves, damages, given, grid, latex, tables
 from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
@@ -98,6 +98,7 @@ def build_leaderboard(
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
         *map(damages.as_layout, damages.find_damages(board, records, folder)),
+        *grid.grid_layouts(grid.find_grids(records, folder)),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),

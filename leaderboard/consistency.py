@@ -18,6 +18,7 @@ from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import damage, given_pose, metrics
+from partialbench.dataset import grid
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
 
@@ -52,6 +53,11 @@ def own_faults(result: Result) -> Iterator[str]:
     if result.given_pose:
         try:
             given_pose.parse(result.given_pose)
+        except InputError as error:
+            yield str(error)
+    if result.grid:
+        try:
+            grid.parse(result.grid)
         except InputError as error:
             yield str(error)
     if result.damage:

@@ -31,6 +31,7 @@ from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.benchmark.training.train import Task, train
 from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.benchmark.variant import describe_changes, file_name
+from partialbench.dataset import grid as grids
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
@@ -59,6 +60,7 @@ def run_eval(
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
     test_damages: Sequence[str] = (),
+    grid: Path | str | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -95,6 +97,7 @@ def run_eval(
             one, "15" with noise, "class:0" under each class's own symmetry, "random". Only for a
             model that takes one.
         test_damages: test on damaged clouds too, see ``damage.parse``: "jitter:3", "all".
+        grid: test a checkpoint on every cell of a folder of ``render --grid`` too.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
             weights do not depend on, such as PAPNet's ``k``.
@@ -116,6 +119,9 @@ def run_eval(
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     damages = damage.parse(test_damages)
+    cells = {} if grid is None else {c.name: Path(grid) / c.name for c in grids.read(Path(grid))}
+    if grid is not None and checkpoint_file is None:
+        raise InputError("--grid tests finished weights: give --checkpoint too")
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
@@ -134,7 +140,7 @@ def run_eval(
             )
         return _test_checkpoint(
             model, Path(checkpoint_file), folders, preset, test_points, poses, damages,
-            options or {}, fabric, results_folder,
+            options or {}, fabric, results_folder, cells,
         )  # fmt: skip
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
@@ -263,9 +269,10 @@ def _test_checkpoint(
     options: Mapping[str, Any],
     fabric: Fabric,
     results_folder: Path,
+    cells: Mapping[str, Path],
 ) -> list[Result]:
-    if not folders:
-        raise InputError("nothing to test on: give --data or --test-data")
+    if not folders and not cells:
+        raise InputError("nothing to test on: give --data, --test-data or --grid")
     content = checkpoint.load(path)
     if content["model"] != model_name:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model_name!r}")
@@ -288,6 +295,10 @@ def _test_checkpoint(
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
+    for name, folder in cells.items():
+        (cell,) = _open_test_sets([folder], [content["num_points"]], tuple(content["class_names"]))
+        cell.grid = name
+        test_sets.append(cell)
     if inputs.needs_normals(model):
         for part in test_sets:
             inputs.require(part, model_name)

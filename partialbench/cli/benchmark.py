@@ -61,7 +61,7 @@ def evaluate(
     model: Annotated[
         str, typer.Option(help="a name from 'partialbench models', or your module:factory")
     ],
-    data: Annotated[Path, typer.Option(help="data folder to train and test on")],
+    data: Annotated[Path | None, typer.Option(help="data folder to train and test on")] = None,
     test_data: Annotated[
         Path | None, typer.Option(help="another data folder to test on as well")
     ] = None,
@@ -100,6 +100,10 @@ def evaluate(
             "random (repeatable)"
         ),
     ] = None,
+    grid: Annotated[
+        Path | None,
+        typer.Option(help="with --checkpoint: test on every cell of a folder of render --grid"),
+    ] = None,
     test_damage: Annotated[
         list[str] | None,
         typer.Option(
@@ -119,7 +123,7 @@ def evaluate(
     Run again, it goes on: with an interrupted training, or to a later milestone.
     """
     preflight.check(
-        model, data=[data] if test_data is None else [data, test_data], results=results,
+        model, data=[folder for folder in (data, test_data) if folder is not None], results=results,
         checkpoints=[path for path in (checkpoint, start_from) if path is not None],
         device=device, precision=precision,
     )  # fmt: skip
@@ -132,7 +136,7 @@ def evaluate(
             clouds=_clouds(clouds), restart=restart, first_seed=first_seed,
             start_from=start_from, precision=precision,
             checkpoint_every=checkpoint_every, test_points=test_points or (),
-            test_poses=test_pose or (), test_damages=test_damage or (),
+            test_poses=test_pose or (), test_damages=test_damage or (), grid=grid,
             recipe=arguments.pairs(recipe),
             options=arguments.texts(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip

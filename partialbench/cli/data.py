@@ -15,7 +15,7 @@ import typer
 from partialbench import arguments, registry
 from partialbench.console import Json, continued_by, given, print_result, stderr
 from partialbench.dataset.settings import SETTINGS
-from partialbench.errors import PartialbenchError
+from partialbench.errors import InputError, PartialbenchError
 
 commands = typer.Typer()
 
@@ -81,6 +81,13 @@ def render(
             "image: 0 to 0.9"
         ),
     ] = 0.0,
+    grid: Annotated[
+        Path | None,
+        typer.Option(
+            help="a TOML file of rotation, shown, sensor, occluders (docs/grid.md): a data folder "
+            "in --out for each combination, of the test split"
+        ),
+    ] = None,
     keep_depth: Annotated[bool, typer.Option(help="store the depth images too")] = False,
     normals: Annotated[
         bool, typer.Option("--normals", help="store the points' surface normals too")
@@ -148,53 +155,91 @@ def render(
     as_json: Json = False,
 ) -> None:
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
-    from partialbench.dataset.card import paper_rows
-    from partialbench.dataset.objects import notice_lines
+    from partialbench.dataset import grid as grids
     from partialbench.dataset.render import plan_render
     from partialbench.progress import counting_bar
 
     workers = workers or os.cpu_count() or 1
     made, listed = counting_bar(stderr, "simulate rooms"), counting_bar(stderr, "read scans")
-    plan = plan_render(
-        data_set.value,
-        out,
-        source=source,
-        source_options=given(
-            aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
-            scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
-            split_file=split_file or None, label_map=label_map, labels=labels,
-            rules=arguments.pairs(rule) or None,
-        ),
-        occluder_options=given(
-            resolution=resolution, camera=camera and arguments.camera(camera), variant=variant,
-            occluders=occluders or None, keep_depth=keep_depth or None, radius=radius, gamma=gamma,
-        ),
-        sensor=sensor,
-        workers=workers,
-        on_room=made,
-        on_scene=listed,
-        setting=setting.value,
-        views=views,
-        splits=tuple(split) if split else None,
-        objects_per_class=objects_per_class,
-        points=points,
-        min_visible=min_visible,
-        normals=normals,
-        seed=seed,
-        rows_per_shard=rows_per_shard,
-    )  # fmt: skip
-    if listing := getattr(plan.job.source, "listing", ""):
-        stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
-    manifest = _build(plan, workers, scheduler, retry_failed)
-    for line in notice_lines(out):
+    if grid is not None and (setting.value != "partial" or sensor or occluders):
+        raise InputError(
+            "--grid has --setting, --sensor and --occluders as its axes: give them in its file"
+        )
+    cells = [] if grid is None else grids.load(grid)
+    if cells:
+        grids.write(out, cells)
+    chosen: list[tuple[Path, str, str | None, float]] = [
+        (out / cell.name, cell.setting, cell.sensor, cell.occluders) for cell in cells
+    ]
+    broken = []
+    for folder, its_setting, its_sensor, its_occluders in chosen or [
+        (out, setting.value, sensor, occluders)
+    ]:
+        plan = plan_render(
+            data_set.value,
+            folder,
+            source=source,
+            source_options=given(
+                aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
+                scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
+                split_file=split_file or None, label_map=label_map, labels=labels,
+                rules=arguments.pairs(rule) or None,
+            ),
+            occluder_options=_of_setting(
+                its_setting, bool(cells), resolution=resolution,
+                camera=camera and arguments.camera(camera), variant=variant,
+                occluders=its_occluders or None, keep_depth=keep_depth or None, radius=radius,
+                gamma=gamma,
+            ),
+            sensor=None if cells and its_sensor == "ideal" else its_sensor,
+            workers=workers,
+            on_room=made,
+            on_scene=listed,
+            setting=its_setting,
+            views=views,
+            splits=tuple(split) if split else ("test",) if cells else None,
+            objects_per_class=objects_per_class,
+            points=points,
+            min_visible=min_visible,
+            normals=normals,
+            seed=seed,
+            rows_per_shard=rows_per_shard,
+        )  # fmt: skip
+        if listing := getattr(plan.job.source, "listing", ""):
+            stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
+        manifest = _build(plan, workers, scheduler, retry_failed)
+        _tell(folder, manifest, as_json)
+        if any(f["kind"] == "failed" for f in manifest.failures):
+            broken.append((folder, manifest))
+    if broken and not allow_failures:
+        folder, manifest = broken[0]
+        failed = sum(f["kind"] == "failed" for f in manifest.failures)
+        raise PartialbenchError(
+            f"{failed} input(s) could not be used; {folder / 'failures.jsonl'} has the "
+            f"reasons. The rest is complete: accept that with --allow-failures, or mend them and "
+            f"{_then(manifest)}"
+        )
+
+
+def _of_setting(setting: str, of_grid: bool, **options: Any) -> dict[str, Any]:
+    """The occluder's options that are given; of a grid's complete clouds none applies."""
+    return {} if of_grid and SETTINGS[setting].whole else given(**options)
+
+
+def _tell(folder: Path, manifest: Any, as_json: bool) -> None:
+    """What a finished folder holds, on stdout."""
+    from partialbench.dataset.card import paper_rows
+    from partialbench.dataset.objects import notice_lines
+
+    for line in notice_lines(folder):
         stderr.print(f"note: {line}", markup=False, soft_wrap=True)
     kinds = Counter(f["kind"] for f in manifest.failures)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
     print_result(
-        {"folder": str(out), "dataset_id": manifest.dataset_id, "rows": rows,
+        {"folder": str(folder), "dataset_id": manifest.dataset_id, "rows": rows,
          "failed": kinds["failed"], "rejected": kinds["rejected"], "digests": manifest.digests},
         as_json,
-        f"{manifest.dataset_id} in {out}: "
+        f"{manifest.dataset_id} in {folder}: "
         + ", ".join(
             f"{n:,} {split} rows"
             + (f" (the paper: {paper:,})" if (paper := paper_rows(manifest, split)) else "")
@@ -202,12 +247,6 @@ def render(
         )
         + (f"; {kinds['rejected']} turned away by a rule" if kinds["rejected"] else ""),
     )  # fmt: skip
-    if kinds["failed"] and not allow_failures:
-        raise PartialbenchError(
-            f"{kinds['failed']} input(s) could not be used; {out / 'failures.jsonl'} has the "
-            f"reasons. The rest is complete: accept that with --allow-failures, or mend them and "
-            f"{_then(manifest)}"
-        )
 
 
 def _then(manifest: Any) -> str:

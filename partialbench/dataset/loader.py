@@ -60,6 +60,8 @@ class ShardDataset:
         symmetries: (M,) str array of group names.
         source_digests: (M,) SHA-256 (hex) of what each row's object was made from, "" if not known.
         has_poses: whether ``rotations`` are poses; where not, no figure may be made of them.
+        occluders: the share that was to be hidden, 0 without. grid: the cell that a test on a grid
+            calls this set, "" for none.
         class_names: label → name. dataset_id, setting, sensor, digest: from the manifest; the
             digest is of this split's content and does not depend on the shard size.
         manifest: the whole ``Manifest``.
@@ -86,6 +88,8 @@ class ShardDataset:
         self.dataset_id = self.manifest.dataset_id
         self.setting: str = self.manifest.configuration["setting"]
         self.sensor = self.manifest.sensor
+        self.occluders = self.manifest.occluders
+        self.grid = ""
         self.has_poses = self.manifest.has_poses
         self.digest = self.manifest.digests[split]
         stored: int = self.manifest.configuration["points"]

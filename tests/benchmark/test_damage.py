@@ -195,6 +195,11 @@ GOLDEN = {
 }
 
 
+def test_damaged_clouds_have_no_normals_to_lead_astray():
+    with pytest.raises(InputError, match="takes normals cannot be tested on damaged"):
+        DamagedClouds(CLOUDS, "jitter:1").points_and_normals([0])
+
+
 def test_names():
     assert damage.parse("jitter:3") == ("jitter:3",)
     assert damage.parse(["scale", "jitter:1"])[-2:] == ("scale:5", "jitter:1")

@@ -33,7 +33,7 @@ PREDICTIONS_SUFFIX = ".predictions.npz"
 INDEPENDENT = 1e-3
 """How far a company audit's logits may move, as a share of their size, for an answer to be a
 cloud's own: rounding moves them by less, another batch-mate by more."""
-LATER = {"damage"}
+LATER = {"damage", "grid"}
 """Fields that records written before there was such a thing have not, and mean their default."""
 LONGEST_ROW = 80
 """Characters of a row's name in a file name; the digest at its end tells the rest apart."""
@@ -62,10 +62,11 @@ class DataRecord:
 
 
 def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
-    """How a record names these rows of a split."""
+    """How a record names these rows of a split; occluders are part of the setting's name."""
+    before = f", occluders {dataset.occluders:g}" if dataset.occluders else ""
     return DataRecord(
         id=dataset.dataset_id,
-        setting=dataset.setting,
+        setting=dataset.setting + before,
         digest=dataset.digest,
         clouds=len(rows),
         objects=len(np.unique(dataset.object_ids[rows])),
@@ -96,6 +97,7 @@ class Result:
         given_pose: what the model was told of each test cloud's pose, see ``given_pose.parse``; ""
             for nothing, as ever but for such a test.
         damage: what was done to the test clouds, see ``damage.parse``; "" for nothing.
+        grid: the cell of a grid that it was tested on, see ``dataset.grid``; "" for none.
         clouds: the milestone it was trained to; ``training["clouds_seen"]`` is the exact number.
         training: see ``train.Trained.summary``.
         weights_sha256: of the tensors that were tested.
@@ -132,6 +134,7 @@ class Result:
     predictions_sha256: str
     scores: dict[str, Any]
     damage: str = ""
+    grid: str = ""
 
     @property
     def row(self) -> str:
@@ -142,15 +145,18 @@ class Result:
     def conditions(self) -> dict[str, str]:
         """In what the test was made to differ from the training; mostly in nothing.
 
-        "points": of a cloud. "sensor": what distorted the clouds, on the data set trained on.
-        "pose": what was told of theirs. "damage": what was done to them. "scored":
-        "transductively", where the answer for a cloud hangs on the clouds scored beside it.
+        "grid": the cell, whose sensor is no condition besides. "points": of a cloud. "sensor": what
+        distorted the clouds, on the data set trained on. "pose": what was told of theirs. "damage":
+        what was done to them. "scored": "transductively", where the answer for a cloud hangs on the
+        clouds scored beside it.
         """
         train, test = self.train_data, self.test_data
         found = {}
+        if self.grid:
+            found["grid"] = self.grid
         if test.points != self.protocol["num_points"]:
             found["points"] = str(test.points)
-        if test.id == train.id and test.sensor != train.sensor:
+        if not self.grid and test.id == train.id and test.sensor != train.sensor:
             found["sensor"] = test.sensor or "ideal"
         if self.given_pose:
             found["pose"] = self.given_pose

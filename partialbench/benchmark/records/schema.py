@@ -193,6 +193,7 @@ class RecordFile(TypedDict):
     clouds: Positive
     given_pose: str
     damage: NotRequired[str]
+    grid: NotRequired[str]
     model_code: Code
     weights_sha256: Digest
     training: Training

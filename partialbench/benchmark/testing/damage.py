@@ -159,6 +159,15 @@ class DamagedClouds:
             ]
         )
 
+    def points_and_normals(
+        self, indices: NDArray | list[int], rng: Any = None, distinct: bool = False
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Refused: nothing says what the normals of moved and added points are."""
+        raise InputError(
+            f"the clouds damaged by {self.name} have no normals; a model that takes normals cannot "
+            f"be tested on damaged clouds"
+        )
+
 
 def _scene(cloud: NDArray, centre: NDArray, radius: float, axes: NDArray) -> Scene:
     if (cloud[:, 2] > 0).all():

@@ -46,12 +46,17 @@ def run_tests(
     """Tests a finished checkpoint's model on each test set, with each pose given, and damaged.
 
     Poses and damages (see ``damage.parse``) are for clouds of the size trained on alone: a test
-    under two conditions lies on no curve. Cost and audit are measured once for each test set.
+    under two conditions lies on no curve. Cost and audit are measured once for each test set, and
+    once for all cells of a grid.
     """
     device, classes = fabric.device, len(content["class_names"])
     model = model.to(device)
     written = []
+    of_grid: dict[str, Any] = {}
     for test_set in test_sets:
+        if test_set.grid and of_grid:
+            written.append(_test(content, model, test_set, fabric, folder, of_grid))
+            continue
         # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
         most = content["protocol"]["max_test_clouds"] or len(test_set)
         with isolation.unchanged(model):
@@ -62,10 +67,14 @@ def run_tests(
             )
         found = company.company_audit(model, test_set, classes, device, min(company.COMPANY, most))
         _tell(content["model"], found)
-        measured = {"cost": cost, "rotation_audit": turned, "company_audit": found}
+        measured: dict[str, Any] = {
+            "cost": cost, "rotation_audit": turned, "company_audit": found,
+        }  # fmt: skip
         one = functools.partial(_test, content, model, test_set, fabric, folder, measured)
         written.append(one())
-        if test_set.num_points == content["num_points"]:
+        if test_set.grid:
+            of_grid = measured
+        elif test_set.num_points == content["num_points"]:
             written += [one(pose=pose) for pose in test_poses]
             written += [one(damaged=name) for name in damages]
     return written
@@ -123,6 +132,7 @@ def _test(
         clouds=content["clouds"],
         given_pose=pose,
         damage=damaged,
+        grid=test_set.grid,
         training=content["summary"],
         **measured,
         environment=environment.describe(fabric.device),
