@@ -13,7 +13,7 @@ from leaderboard.comparison import compare
 from leaderboard.output import write_board
 from leaderboard.page import clouds, html
 from leaderboard.page.content import Found
-from leaderboard.tables import curves, given, latex
+from leaderboard.tables import curves, damages, given, grid, latex
 from leaderboard.tables import text as tables
 from leaderboard.tables.agreement import rank_agreement
 from leaderboard.tables.layouts import layouts
@@ -87,8 +87,8 @@ def board_files(
     if not board:
         raise InputError(
             f"{folder} holds only tests under other conditions than trained on (fewer points, "
-            f"another sensor, a given pose), which need their model's own test beside them, with "
-            f"--data, or models whose answers depend on a test cloud's batch-mates"
+            f"another sensor, a given pose, damage), which need their model's own test beside "
+            f"them, with --data, or models whose answers depend on a test cloud's batch-mates"
         )
     named = {each.digest for each in test_sets}
     tested = {column.key[5] for column in board}
@@ -114,6 +114,8 @@ def board_files(
         *pose_layouts(board, folder),
         *map(given.as_layout, given_poses),
         *transfer_layouts(board, folder),
+        *map(damages.as_layout, damages.find_damages(board, records, folder)),
+        *grid.grid_layouts(grid.find_grids(records, folder)),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),

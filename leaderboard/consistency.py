@@ -19,8 +19,9 @@ from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.testing import given_pose, metrics
+from partialbench.benchmark.testing import damage, given_pose, metrics
 from partialbench.benchmark.variant import describe_changes
+from partialbench.dataset import grid
 from partialbench.errors import InputError
 from partialbench.registry import ModelCard, Recipe
 
@@ -57,6 +58,19 @@ def own_faults(result: Result) -> Iterator[str]:
             given_pose.parse(result.given_pose)
         except InputError as error:
             yield str(error)
+    if result.grid:
+        try:
+            grid.parse(result.grid)
+        except InputError as error:
+            yield str(error)
+    if result.damage:
+        try:
+            named = damage.parse(result.damage)
+        except InputError as error:
+            yield str(error)
+        else:
+            if named != (result.damage,):
+                yield f"{result.damage!r} is not one damage of one strength"
     yield from _curve_faults(training, plan.clouds_seen)
     changed = _changed(result)
     if changed != result.variant:

@@ -18,11 +18,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from partialbench.dataset.others import POOL, Others
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera, fit_ball
+from renderers import occlusion
 from renderers.normals import face_normals, towards_camera
 from renderers.sensors import make_sensor
+from renderers.stereo import Stereo, require_opencv
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
 
@@ -31,6 +34,7 @@ from renderers.visibility import inside_image, sight_lines, surface_samples
 TILE = 4
 # Bounds the memory of one launch (64 MiB of depth); ten views of 256×256 are a twenty-fifth of it.
 MAX_RAYS = 1 << 24
+MOST_OCCLUDED = 0.9
 NOTHING_SEEN = "no surface at any pixel centre"
 
 Pose = tuple[NDArray, NDArray]
@@ -54,6 +58,8 @@ class MitsubaOccluder:
             points, not the normals: each is that of the surface at its pixel.
         visibility_samples: surface points behind ``visible_fraction``.
         camera: one to use for every view instead of the fitted one; it may cut the object.
+        occluders: share of the object's pixels that other objects hide, in the mean; see
+            ``occlusion``. Of what is measured only the object's own pixels are kept.
         sensor: "ideal", or what distorts the depth before it is back-projected: a name of
             ``renderers.sensors`` with an optional strength ("kinect-v1", "tof:0.5").
         threads: of this process. One each is fastest when objects are spread over processes; the
@@ -68,6 +74,7 @@ class MitsubaOccluder:
     sensor: str = "ideal"
     threads: int = 1
     normals: bool = False
+    occluders: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("resolution", "visibility_samples", "threads"):
@@ -76,11 +83,22 @@ class MitsubaOccluder:
                 raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
-        make_sensor(self.sensor)  # raises for an unknown name or strength
+        if not 0 <= self.occluders <= MOST_OCCLUDED:
+            raise InputError(
+                f"occluders must hide a share of 0 to {MOST_OCCLUDED}, got {self.occluders!r}"
+            )
+        if isinstance(make_sensor(self.sensor), Stereo):  # raises for an unknown name or strength
+            require_opencv()
 
     def settle(self) -> str:
         """The Mitsuba variant in use; ``InputError`` when the one asked for does not work here."""
         self.variant = pick_variant(self.variant)
+        if self.variant.startswith("scalar") and isinstance(make_sensor(self.sensor), Stereo):
+            raise InputError(
+                f"the sensor {self.sensor!r} renders images, for which the Mitsuba variant "
+                f"{self.variant} is too slow; it needs llvm_ad_rgb or cuda_ad_rgb "
+                f"('partialbench doctor' says what those need)"
+            )
         return self.variant
 
     def describe(self) -> dict[str, Any]:
@@ -97,10 +115,15 @@ class MitsubaOccluder:
             "visibility_samples": int(self.visibility_samples),
             "keep_depth": bool(self.keep_depth),
             **({"normals": "of the mesh's faces"} if self.normals else {}),
+            **({"occluders": float(self.occluders), "pool": POOL} if self.occluders else {}),
         }
 
     def views(
-        self, shape: trimesh.Trimesh, poses: list[Pose], rngs: list[np.random.Generator]
+        self,
+        shape: trimesh.Trimesh,
+        poses: list[Pose],
+        rngs: list[np.random.Generator],
+        others: Others | None = None,
     ) -> list[View | RejectedView]:
         """Render a mesh from every pose.
 
@@ -109,6 +132,7 @@ class MitsubaOccluder:
                 is set. Vertices are used as float32.
             poses: (R_camera_object (3,3), t_camera_object (3,)) each.
             rngs: one per view, for the sensor's noise; an ideal one draws nothing.
+            others: what stands before the object, meshes in the unit ball, if ``occluders``.
 
         Returns:
             One ``View`` per pose, its points in row-major pixel order; a ``RejectedView`` where no
@@ -132,20 +156,53 @@ class MitsubaOccluder:
 
         variant = self.settle()
         activate(variant, self.threads)
-        tracer = (_ScalarTracer if variant.startswith("scalar") else _Tracer)(vertices, faces)
-        fractions = self._visible_fractions(tracer, samples, R, t, cameras)
+        make_tracer = _ScalarTracer if variant.startswith("scalar") else _Tracer
+        tracer = make_tracer(vertices, faces)
+        meshes: list[tuple[NDArray[np.float32], NDArray[np.uint32]]] = []
+        if self.occluders:
+            if others is None or not others.shapes:
+                raise InputError(
+                    f"occluders={self.occluders:g} needs others to put before an object"
+                )
+            meshes = [_arrays(other) for other in others.shapes]
+        pool = [make_tracer(*mesh) for mesh in meshes]
+        seen = self._seen(tracer, samples, R, t, cameras)
         images = tracer.images(R, t, cameras, self.normals)
         normals = face_normals(vertices, faces) if self.normals else None
         sensor = None if self.sensor == "ideal" else make_sensor(self.sensor)
         views: list[View | RejectedView] = []
         for k, (depth, hit) in enumerate(images):
-            if sensor:
+            hidden, before = None, []
+            if pool and others is not None and depth.any():
+                arranged = occlusion.arrange(
+                    depth, cameras[k], t[k], self.occluders, pool, others.rngs[k]
+                )
+                if arranged is None:
+                    views.append(RejectedView(occlusion.NO_ROOM))
+                    continue
+                before, shown = arranged, depth
+                depth, own = occlusion.composite(before, pool, shown, cameras[k])
+                hidden = 1 - float(own.sum()) / float((shown > 0).sum())
+                if not own.any():
+                    views.append(RejectedView(occlusion.ALL_HIDDEN))
+                    continue
+                lines = sight_lines(samples, -R[k].T @ t[k])
+                seen[k] &= occlusion.unhidden(before, pool, R[k], t[k], *lines)
+            if isinstance(sensor, Stereo):
+                parts = [((vertices @ R[k].T + t[k]).astype(np.float32), faces)]
+                parts += [occlusion.placed(each, *meshes[each.shape]) for each in before]
+                depth = sensor.capture(parts, depth, cameras[k].K, t[k], rngs[k])
+            elif sensor:
                 depth = sensor.apply(depth, cameras[k].K, rngs[k])
-            view = self._view(depth, R[k], t[k], cameras[k], fractions[k])
+            if hidden is not None:
+                depth = np.where(own, depth, np.float32(0))
+            view = self._view(depth, R[k], t[k], cameras[k], float(seen[k].mean()))
+            if isinstance(view, View):
+                view.occluded_fraction = hidden
             if isinstance(view, View) and hit is not None and normals is not None:
                 # The pixels with depth, in the order of the points.
-                seen = normals.take(hit[depth != 0], axis=0)
-                view.normals = towards_camera(seen, view.points, R[k])
+                facing = normals.take(hit[depth != 0], axis=0)
+                view.normals = towards_camera(facing, view.points, R[k])
             views.append(view)
         return views
 
@@ -165,15 +222,15 @@ class MitsubaOccluder:
             depth=depth if self.keep_depth else None,
         )
 
-    def _visible_fractions(
+    def _seen(
         self,
         tracer: _Tracer | _ScalarTracer,
         samples: NDArray[np.float32],
         R: NDArray,
         t: NDArray,
         cameras: list[Camera],
-    ) -> list[float]:
-        """The share of the surface samples that each view sees, inside its image."""
+    ) -> NDArray[np.bool_]:
+        """(V,S): which of the surface samples each view sees, inside its image."""
         eyes = -np.einsum("vji,vj->vi", R, t)
         lines = [sight_lines(samples, eye) for eye in eyes]
         seen = tracer.clear(eyes, np.stack([d for d, _ in lines]), np.stack([e for _, e in lines]))
@@ -182,7 +239,7 @@ class MitsubaOccluder:
                 seen[k] &= inside_image(
                     samples @ R[k].T + t[k], camera.K, camera.width, camera.height
                 )
-        return [float(share) for share in seen.mean(axis=1)]
+        return seen
 
 
 def back_project(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

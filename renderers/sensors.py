@@ -11,6 +11,7 @@ the sensor as published.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
@@ -231,10 +232,21 @@ class TimeOfFlight:
         return {"name": "tof", **asdict(self)}
 
 
+def _stereo(name: str, **options: Any) -> Sensor:
+    from renderers import stereo  # OpenCV and Mitsuba are for those who ask for it
+
+    factories: dict[str, Callable[..., Sensor]] = {
+        "stereo-d415": stereo.d415, "stereo-kinect-v1": stereo.kinect_v1,
+    }  # fmt: skip
+    return factories[name](**options)
+
+
 SENSORS: dict[str, Callable[..., Sensor]] = {
     "ideal": Ideal,
     "kinect-v1": KinectV1,
     "tof": TimeOfFlight,
+    "stereo-d415": functools.partial(_stereo, "stereo-d415"),
+    "stereo-kinect-v1": functools.partial(_stereo, "stereo-kinect-v1"),
 }
 """Name → factory; options are the factory's attributes."""
 

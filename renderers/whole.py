@@ -1,4 +1,4 @@
-"""The whole surface, nothing hidden: complete clouds for the settings "aligned" and "rotated"."""
+"""The whole surface, nothing hidden: complete clouds, aligned or turned."""
 
 from __future__ import annotations
 

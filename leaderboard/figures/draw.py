@@ -165,10 +165,11 @@ def _by_setting(board: list[Column]) -> Figure | None:
     columns = max(found, key=len)
     names = compared_rows(columns)
     figure, axes = _new(1.5 + 0.7 * len(names))
+    step = min(0.27, 0.81 / len(columns))
     for i, (setting, column) in enumerate(columns.items()):
         cells = [column.cells.get(name) for name in names]
         heights = [100 * cell.mean() if cell else np.nan for cell in cells]
-        axes.bar(np.arange(len(names)) + 0.27 * i, heights, 0.25, label=setting)
+        axes.bar(np.arange(len(names)) + step * i, heights, step - 0.02, label=setting)
     axes.set_xticks(np.arange(len(names)) + 0.27, names, rotation=30, ha="right")
     axes.set_ylabel("accuracy (%)")
     axes.legend(frameon=False)

@@ -64,6 +64,7 @@ def _cost_of_settings(main: list[dict[str, Any]], steps: dict[str, Any] | None) 
 
 _WHERE = {
     "aligned": "on complete clouds in a known pose",
+    "z-rotated": "on complete clouds turned about their height",
     "rotated": "on complete clouds in any pose",
     "partial": "on what one side shows",
 }

@@ -74,8 +74,8 @@ def find_families(board: list[Column], records: Iterable[Result], folder: Path) 
     """
     probes: dict[tuple[object, ...], list[Result]] = defaultdict(list)
     for result in records:
-        # Two at once lie on no curve; poses that are given have ``given``.
-        if len(result.conditions) == 1 and not result.conditions.keys() & {"pose", "scored"}:
+        # Two at once lie on no curve; ``given`` has poses, ``damages`` has damages.
+        if len(result.conditions) == 1 and result.conditions.keys() <= {"points", "sensor"}:
             probes[_trained_on(result)].append(result)
     families = []
     for column in board:

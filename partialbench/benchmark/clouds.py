@@ -22,6 +22,8 @@ class Clouds(Protocol):
     dataset_id: str
     setting: str
     sensor: str
+    occluders: float
+    grid: str
     digest: str
     num_points: int
     has_poses: bool

@@ -23,7 +23,7 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET, Protocol
 from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
 from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.testing import given_pose
+from partialbench.benchmark.testing import damage, given_pose
 from partialbench.benchmark.testing import run as testing
 from partialbench.benchmark.training import checkpoint, dry_run, finetune
 from partialbench.benchmark.training.follow import check_log
@@ -32,6 +32,7 @@ from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.benchmark.training.train import Task, train
 from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.benchmark.variant import describe_changes, file_name
+from partialbench.dataset import grid as grids
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
@@ -60,6 +61,8 @@ def run_eval(
     checkpoint_every: int | None = None,
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
+    test_damages: Sequence[str] = (),
+    grid: Path | str | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -97,6 +100,8 @@ def run_eval(
         test_poses: test with the pose given too, see ``given_pose.parse``: "0" or 0 for the true
             one, "15" with noise, "class:0" under each class's own symmetry, "random". Only for a
             model that takes one.
+        test_damages: test on damaged clouds too, see ``damage.parse``: "jitter:3", "all".
+        grid: test a checkpoint on every cell of a folder of ``render --grid`` too.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
             weights do not depend on, such as PAPNet's ``k``.
@@ -118,6 +123,10 @@ def run_eval(
     check_log(log_to)
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
+    damages = damage.parse(test_damages)
+    cells = {} if grid is None else {c.name: Path(grid) / c.name for c in grids.read(Path(grid))}
+    if grid is not None and checkpoint_file is None:
+        raise InputError("--grid tests finished weights: give --checkpoint too")
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
@@ -135,8 +144,8 @@ def run_eval(
                 f"effect; leave it out, or train without --checkpoint"
             )
         return _test_checkpoint(
-            model, Path(checkpoint_file), folders, preset, test_points, poses, options or {},
-            fabric, results_folder,
+            model, Path(checkpoint_file), folders, preset, test_points, poses, damages,
+            options or {}, fabric, results_folder, cells,
         )  # fmt: skip
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
@@ -177,7 +186,7 @@ def run_eval(
     for task in tasks:
         for goal in goals:  # before anything is trained or deleted
             milestones.plan(followed, used, goal, len(task.train_rows))
-    dry_run.try_out(tasks[0], fabric, test_sets, poses)
+    dry_run.try_out(tasks[0], fabric, test_sets, poses, damages)
     if restart and fabric.is_global_zero:
         for task in tasks:
             with hold(runs_folder / run_folder(task)):
@@ -195,7 +204,7 @@ def run_eval(
                 if fabric.is_global_zero:
                     content = checkpoint.load(RunFolder(folder).branch(goal))
                     written += testing.run_tests(
-                        content, trained.model, test_sets, poses, fabric, results_folder
+                        content, trained.model, test_sets, poses, fabric, results_folder, damages
                     )
             fabric.barrier()
     return written
@@ -263,12 +272,14 @@ def _test_checkpoint(
     preset: str,
     test_points: Sequence[int],
     test_poses: Sequence[str],
+    test_damages: Sequence[str],
     options: Mapping[str, Any],
     fabric: Fabric,
     results_folder: Path,
+    cells: Mapping[str, Path],
 ) -> list[Result]:
-    if not folders:
-        raise InputError("nothing to test on: give --data or --test-data")
+    if not folders and not cells:
+        raise InputError("nothing to test on: give --data, --test-data or --grid")
     content = checkpoint.load(path)
     if content["model"] != model_name:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model_name!r}")
@@ -291,6 +302,10 @@ def _test_checkpoint(
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
+    for name, folder in cells.items():
+        (cell,) = _open_test_sets([folder], [content["num_points"]], tuple(content["class_names"]))
+        cell.grid = name
+        test_sets.append(cell)
     if inputs.needs_normals(model):
         for part in test_sets:
             inputs.require(part, model_name)
@@ -300,7 +315,9 @@ def _test_checkpoint(
                 testing.try_given_pose(model_name, model, test_set, pose, content["class_names"])
     written = []
     if fabric.is_global_zero:
-        written = testing.run_tests(content, model, test_sets, test_poses, fabric, results_folder)
+        written = testing.run_tests(
+            content, model, test_sets, test_poses, fabric, results_folder, test_damages
+        )
     fabric.barrier()
     return written
 

@@ -67,7 +67,7 @@ def evaluate(
     model: Annotated[
         str, typer.Option(help="a name from 'partialbench models', or your module:factory")
     ],
-    data: Annotated[Path, typer.Option(help="data folder to train and test on")],
+    data: Annotated[Path | None, typer.Option(help="data folder to train and test on")] = None,
     test_data: Annotated[
         Path | None, typer.Option(help="another data folder to test on as well")
     ] = None,
@@ -109,6 +109,17 @@ def evaluate(
             "random (repeatable)"
         ),
     ] = None,
+    grid: Annotated[
+        Path | None,
+        typer.Option(help="with --checkpoint: test on every cell of a folder of render --grid"),
+    ] = None,
+    test_damage: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="test on damaged clouds too: jitter:3, a name alone for its five strengths, or "
+            "all (repeatable; docs/damage.md has the names)"
+        ),
+    ] = None,
     recipe: Annotated[list[str] | None, typer.Option(help="change the recipe: lr=0.01")] = None,
     option: Annotated[
         list[str] | None,
@@ -121,7 +132,7 @@ def evaluate(
     Run again, it goes on: with an interrupted training, or to a later milestone.
     """
     preflight.check(
-        model, data=[data] if test_data is None else [data, test_data], results=results,
+        model, data=[folder for folder in (data, test_data) if folder is not None], results=results,
         checkpoints=[path for path in (checkpoint, start_from) if path is not None],
         device=device, precision=precision,
     )  # fmt: skip
@@ -134,7 +145,8 @@ def evaluate(
             preset=preset.value, seeds=seeds, device=device, clouds=_clouds(clouds),
             restart=restart, first_seed=first_seed, start_from=start_from, precision=precision,
             log_to=log.value, checkpoint_every=checkpoint_every, test_points=test_points or (),
-            test_poses=test_pose or (), recipe=arguments.pairs(recipe),
+            test_poses=test_pose or (), test_damages=test_damage or (), grid=grid,
+            recipe=arguments.pairs(recipe),
             options=arguments.texts(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
     if as_json:

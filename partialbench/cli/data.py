@@ -15,7 +15,8 @@ import typer
 from partialbench import arguments, registry
 from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, given, print_result, stderr
-from partialbench.errors import PartialbenchError
+from partialbench.dataset.settings import SETTINGS
+from partialbench.errors import InputError, PartialbenchError
 
 commands = Verbs("Data")
 
@@ -25,10 +26,7 @@ class DataSet(StrEnum):
     ps15 = "ps15"
 
 
-class Setting(StrEnum):
-    partial = "partial"
-    rotated = "rotated"
-    aligned = "aligned"
+Setting = StrEnum("Setting", {name: name for name in SETTINGS})  # type: ignore[misc]
 
 
 @commands.command(
@@ -47,8 +45,12 @@ def render(
         ),
     ] = None,
     setting: Annotated[
-        Setting, typer.Option(help="partial views, or complete clouds")
-    ] = Setting.partial,
+        Setting,
+        typer.Option(
+            help="partial views, the same turned about z or aligned, or complete clouds rotated, "
+            "turned about z or aligned"
+        ),
+    ] = Setting("partial"),
     views: Annotated[int | None, typer.Option(help="viewpoints per training object [10]")] = None,
     objects_per_class: Annotated[
         int | None, typer.Option(help="at most so many of each class in each split")
@@ -69,8 +71,22 @@ def render(
     sensor: Annotated[
         str | None,
         typer.Option(
-            help="depth noise: ideal, kinect-v1 or tof, with :STRENGTH [ideal; rooms are "
-            "scanned with kinect-v1]"
+            help="ideal; depth noise of kinect-v1 or tof; or active stereo, rendered: stereo-d415, "
+            "stereo-kinect-v1; with :STRENGTH [ideal; rooms are scanned with kinect-v1]"
+        ),
+    ] = None,
+    occluders: Annotated[
+        float,
+        typer.Option(
+            help="put other objects of the source before each, to hide about this share of its "
+            "image: 0 to 0.9"
+        ),
+    ] = 0.0,
+    grid: Annotated[
+        Path | None,
+        typer.Option(
+            help="a TOML file of rotation, shown, sensor, occluders (docs/grid.md): a data folder "
+            "in --out for each combination, of the test split"
         ),
     ] = None,
     keep_depth: Annotated[bool, typer.Option(help="store the depth images too")] = False,
@@ -140,58 +156,96 @@ def render(
     as_json: Json = False,
 ) -> None:
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
-    from partialbench.dataset.card import paper_rows
+    from partialbench.dataset import grid as grids
     from partialbench.dataset.executors import process_pool
-    from partialbench.dataset.objects import notice_lines
     from partialbench.dataset.render import render_dataset
     from partialbench.progress import build_bar, counting_bar
 
     workers = workers or os.cpu_count() or 1
-    made, listed = counting_bar(stderr, "simulate rooms"), counting_bar(stderr, "read scans")
-    with continued_by("the same command"), build_bar(stderr) as on_progress:
-        manifest = render_dataset(
-            source,
-            out,
-            data_set=data_set.value,
-            source_options=given(
-                aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
-                scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
-                split_file=split_file or None, label_map=label_map, labels=labels,
-                rules=arguments.pairs(rule) or None,
-            ),
-            occluder_options=given(
-                resolution=resolution, camera=camera and arguments.camera(camera), variant=variant,
-                keep_depth=keep_depth or None, radius=radius, gamma=gamma,
-            ),
-            sensor=sensor,
-            workers=workers,
-            scheduler=scheduler,
-            # One worker too is a process of its own: a crash in it ends no run.
-            make_executor=partial(process_pool, workers),
-            on_room=made,
-            on_scene=listed,
-            on_listing=_say_source,
-            on_progress=on_progress,
-            setting=setting.value,
-            views=views,
-            splits=tuple(split) if split else None,
-            objects_per_class=objects_per_class,
-            points=points,
-            min_visible=min_visible,
-            normals=normals,
-            seed=seed,
-            rows_per_shard=rows_per_shard,
-            retry_failed=retry_failed,
-        )  # fmt: skip
-    for line in notice_lines(out):
+    if grid is not None and (setting.value != "partial" or sensor or occluders):
+        raise InputError(
+            "--grid has --setting, --sensor and --occluders as its axes: give them in its file"
+        )
+    cells = [] if grid is None else grids.load(grid)
+    if cells:
+        grids.write(out, cells)
+    chosen: list[tuple[Path, str, str | None, float]] = [
+        (out / cell.name, cell.setting, cell.sensor, cell.occluders) for cell in cells
+    ]
+    broken = []
+    for folder, its_setting, its_sensor, its_occluders in chosen or [
+        (out, setting.value, sensor, occluders)
+    ]:
+        made, listed = counting_bar(stderr, "simulate rooms"), counting_bar(stderr, "read scans")
+        with continued_by("the same command"), build_bar(stderr) as on_progress:
+            manifest = render_dataset(
+                source,
+                folder,
+                data_set=data_set.value,
+                source_options=given(
+                    aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
+                    scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
+                    split_file=split_file or None, label_map=label_map, labels=labels,
+                    rules=arguments.pairs(rule) or None,
+                ),
+                occluder_options=_of_setting(
+                    its_setting, bool(cells), resolution=resolution,
+                    camera=camera and arguments.camera(camera), variant=variant,
+                    occluders=its_occluders or None, keep_depth=keep_depth or None, radius=radius,
+                    gamma=gamma,
+                ),
+                sensor=None if cells and its_sensor == "ideal" else its_sensor,
+                workers=workers,
+                scheduler=scheduler,
+                # One worker too is a process of its own: a crash in it ends no run.
+                make_executor=partial(process_pool, workers),
+                on_room=made,
+                on_scene=listed,
+                on_listing=_say_source,
+                on_progress=on_progress,
+                setting=its_setting,
+                views=views,
+                splits=tuple(split) if split else ("test",) if cells else None,
+                objects_per_class=objects_per_class,
+                points=points,
+                min_visible=min_visible,
+                normals=normals,
+                seed=seed,
+                rows_per_shard=rows_per_shard,
+                retry_failed=retry_failed,
+            )  # fmt: skip
+        _tell(folder, manifest, as_json)
+        if any(f["kind"] == "failed" for f in manifest.failures):
+            broken.append((folder, manifest))
+    if broken and not allow_failures:
+        folder, manifest = broken[0]
+        failed = sum(f["kind"] == "failed" for f in manifest.failures)
+        raise PartialbenchError(
+            f"{failed} input(s) could not be used; {folder / 'failures.jsonl'} has the "
+            f"reasons. The rest is complete: accept that with --allow-failures, or mend them and "
+            f"{_then(manifest)}"
+        )
+
+
+def _of_setting(setting: str, of_grid: bool, **options: Any) -> dict[str, Any]:
+    """The occluder's options that are given; of a grid's complete clouds none applies."""
+    return {} if of_grid and SETTINGS[setting].whole else given(**options)
+
+
+def _tell(folder: Path, manifest: Any, as_json: bool) -> None:
+    """What a finished folder holds, on stdout."""
+    from partialbench.dataset.card import paper_rows
+    from partialbench.dataset.objects import notice_lines
+
+    for line in notice_lines(folder):
         stderr.print(f"note: {line}", markup=False, soft_wrap=True)
     kinds = Counter(f["kind"] for f in manifest.failures)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
     print_result(
-        {"folder": str(out), "dataset_id": manifest.dataset_id, "rows": rows,
+        {"folder": str(folder), "dataset_id": manifest.dataset_id, "rows": rows,
          "failed": kinds["failed"], "rejected": kinds["rejected"], "digests": manifest.digests},
         as_json,
-        f"{manifest.dataset_id} in {out}: "
+        f"{manifest.dataset_id} in {folder}: "
         + ", ".join(
             f"{n:,} {split} rows"
             + (f" (the paper: {paper:,})" if (paper := paper_rows(manifest, split)) else "")
@@ -199,12 +253,6 @@ def render(
         )
         + (f"; {kinds['rejected']} turned away by a rule" if kinds["rejected"] else ""),
     )  # fmt: skip
-    if kinds["failed"] and not allow_failures:
-        raise PartialbenchError(
-            f"{kinds['failed']} input(s) could not be used; {out / 'failures.jsonl'} has the "
-            f"reasons. The rest is complete: accept that with --allow-failures, or mend them and "
-            f"{_then(manifest)}"
-        )
 
 
 def _then(manifest: Any) -> str:

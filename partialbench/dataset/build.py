@@ -25,6 +25,7 @@ from partialbench.dataset.lock import sole_user
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.names import printable
 from partialbench.dataset.rows import Job, ObjectRows
+from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.shards import (
     TEMPORARY_SUFFIX,
     PackedImages,
@@ -36,8 +37,6 @@ from partialbench.dataset.shards import (
 )
 from partialbench.dataset.sources import ObjectRef
 from partialbench.errors import InputError, PartialbenchError
-
-SETTINGS = ("partial", "rotated", "aligned")
 
 
 @dataclass(frozen=True)
@@ -62,6 +61,14 @@ class BuildPlan:
     def __post_init__(self) -> None:
         if self.job.setting not in SETTINGS:
             raise InputError(f"setting {self.job.setting!r} is not one of {', '.join(SETTINGS)}")
+        setting = SETTINGS[self.job.setting]
+        for option, what in (("keep_depth", "depth images"), ("normals", "normals")):
+            beside = getattr(self.job.occluder, option, False)
+            if beside and not setting.whole and setting.turns != "so3":
+                raise InputError(
+                    f"the setting {self.job.setting!r} moves clouds out of their camera's frame, "
+                    f"to which {what} belong; render the setting 'partial' with them"
+                )
         for name, value in (
             ("points", self.job.points),
             ("rows_per_shard", self.rows_per_shard),
@@ -74,8 +81,9 @@ class BuildPlan:
     def configuration(self) -> dict[str, Any]:
         """What decides the bytes of the folder, as JSON data."""
         poses: dict[str, str] = {}
-        if self.job.setting != "partial" and hasattr(self.job.source, "poses"):
-            poses = {"poses": {"rotated": "sampled", "aligned": "canonical"}[self.job.setting]}
+        if SETTINGS[self.job.setting].whole and hasattr(self.job.source, "poses"):
+            turns = SETTINGS[self.job.setting].turns
+            poses = {"poses": "sampled" if turns == "so3" else "canonical"}
         return {
             "source": self.job.source.describe(),
             "source_frame": self.job.source.frame,

@@ -26,6 +26,7 @@ _SMALL = (
 )  # fmt: skip
 _SOURCE = "source_sha256"
 _ROW_DIGEST = "row_sha256"
+_OCCLUDED = "occluded_fraction"
 _MAPPED = ("points", "normals")
 
 
@@ -55,9 +56,12 @@ class ShardDataset:
         intrinsics: (M,3,3) float64 K, zeros where no image was formed.
         has_normals, has_depth: whether the folder was rendered with them.
         visible_fraction: (M,) float32. n_visible: (M,) int32.
+        occluded_fraction: (M,) float32, zeros where the folder was rendered without occluders.
         symmetries: (M,) str array of group names.
         source_digests: (M,) SHA-256 (hex) of what each row's object was made from, "" if not known.
         has_poses: whether ``rotations`` are poses; where not, no figure may be made of them.
+        occluders: the share that was to be hidden, 0 without. grid: the cell that a test on a grid
+            calls this set, "" for none.
         class_names: label → name. dataset_id, setting, sensor, digest: from the manifest; the
             digest is of this split's content and does not depend on the shard size.
         manifest: the whole ``Manifest``.
@@ -84,6 +88,8 @@ class ShardDataset:
         self.dataset_id = self.manifest.dataset_id
         self.setting: str = self.manifest.configuration["setting"]
         self.sensor = self.manifest.sensor
+        self.occluders = self.manifest.occluders
+        self.grid = ""
         self.has_poses = self.manifest.has_poses
         self.digest = self.manifest.digests[split]
         stored: int = self.manifest.configuration["points"]
@@ -110,6 +116,7 @@ class ShardDataset:
         self.intrinsics = columns["K"]
         self.visible_fraction = columns["visible_fraction"]
         self.n_visible = columns["n_visible"]
+        self.occluded_fraction = columns[_OCCLUDED]
         self.source_digests = np.char.decode(columns[_SOURCE], "ascii")
         self._stored_points = stored
         self._maps: dict[tuple[int, str], np.memmap] = {}
@@ -226,7 +233,9 @@ def _read_small_and_layout(
     folder: Path, entries: list[manifests.ShardEntry]
 ) -> tuple[dict[str, NDArray], list[_Shard]]:
     """Every small column joined over shards, and how each shard lies in its file."""
-    parts: dict[str, list[NDArray]] = {name: [] for name in (*_SMALL, _ROW_DIGEST, _SOURCE)}
+    parts: dict[str, list[NDArray]] = {
+        name: [] for name in (*_SMALL, _ROW_DIGEST, _OCCLUDED, _SOURCE)
+    }
     layout = []
     table = tables.load(folder)
     for entry in entries:
@@ -244,6 +253,9 @@ def _read_small_and_layout(
         with open_shard(path) as file:
             for name in (*_SMALL, _ROW_DIGEST):
                 parts[name].append(file[name][()])
+            parts[_OCCLUDED].append(
+                file[_OCCLUDED][()] if _OCCLUDED in file else np.zeros(entry.rows, np.float32)
+            )
             known = _sources_in(file) if "objects" in file else _sources_of(entry, table, folder)
             ids = parts["object_id"][-1]
             parts[_SOURCE].append(np.array([known.get(name, b"") for name in ids], "S64"))

@@ -90,6 +90,11 @@ class Manifest:
         return f"{sensor['name']}:{sensor['strength']:g}"
 
     @property
+    def occluders(self) -> float:
+        """Of each object's image, the share that other objects are to hide; 0 for none."""
+        return float(self.configuration["occluder"].get("occluders", 0))
+
+    @property
     def has_poses(self) -> bool:
         """Whether the rows' rotations are poses; else they are placeholders."""
         return self.configuration.get("pose") != "none"

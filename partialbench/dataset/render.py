@@ -16,6 +16,7 @@ from partialbench.dataset.build import BuildPlan, Progress, build
 from partialbench.dataset.executors import InlineExecutor, dask_cluster, process_pool
 from partialbench.dataset.manifest import Manifest
 from partialbench.dataset.rows import LEAST_VISIBLE, Job
+from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.sources import Occluder, Source
 from partialbench.errors import InputError
 from partialbench.extras import MissingExtraError
@@ -53,6 +54,7 @@ def plan_render(
         source: a registered name or a path; default: the data set's built-in source.
         source_options: passed to the source (``aligned``, ``up``, ``counts``, …).
         occluder_options: passed to the occluder (``resolution``, ``variant``, ``radius``, …).
+        setting: of ``settings.SETTINGS``.
         sensor: depth noise, of the rendered images or, for simulated rooms, of the scanner.
         workers: processes for sources that generate or list in parallel.
         on_room: called with (rooms simulated, rooms in all).
@@ -94,7 +96,7 @@ def plan_render(
             f"source {source!r} ({name}) makes {dataset_id}, not {data_set}: run "
             f"'partialbench render {dataset_id[:4]}'"
         )
-    if setting != "partial":
+    if setting in SETTINGS and SETTINGS[setting].whole:
         occluder_name = "whole"
     per_split = dict(PAPER_VIEWS[data_set])
     if views is not None:

@@ -7,7 +7,7 @@ set, split, object id, view, purpose).
 from __future__ import annotations
 
 import pickle
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.names import printable
 from partialbench.dataset.objects import stored_id
+from partialbench.dataset.others import Others, draw_others
 from partialbench.dataset.schema import FIELDS
 from partialbench.dataset.seeding import generator
+from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.shards import Columns, PackedImages, pack_image, row_digests
 from partialbench.dataset.sources import (
     FEW_POINTS,
@@ -28,11 +30,12 @@ from partialbench.dataset.sources import (
     View,
 )
 from partialbench.errors import InputError
+from partialbench.geometry import portable
 from partialbench.geometry.camera import sample_pose
 from partialbench.geometry.symmetry import symmetry_of
 
-ALIGNED_POSE = (np.eye(3), np.array([0.0, 0.0, 3.5]))
-"""The pose of the setting "aligned": canonical orientation, at the middle of the paper's depths."""
+CANONICAL_PLACE = np.array([0.0, 0.0, 3.5])
+"""Where an object is that no camera places: at the middle of the paper's depths."""
 
 LEAST_VISIBLE = 16
 """Distinct points that a view shows at least, by default: fewer tell nothing of a shape."""
@@ -47,7 +50,7 @@ class Job:
 
     Attributes:
         dataset_id: enters the random keys.
-        setting: "partial", "rotated" or "aligned".
+        setting: of ``settings.SETTINGS``.
         views: split → viewpoints per object.
         points: P, points per row.
         seed: of the whole data set.
@@ -117,7 +120,10 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
     images: list[bytes] = []
     failures = []
     image_shape = (0, 0)
-    for v, view in enumerate(_views(job, shape, key, views)):
+    others: list[Any] = []
+    if getattr(job.occluder, "occluders", 0):
+        others = draw_others(job.source, ref, generator(job.seed, *key, "others"))
+    for v, view in enumerate(_views(job, shape, key, views, others)):
         if isinstance(view, RejectedView):
             failures.append(
                 {"kind": "rejected", "split": ref.split, "object_id": ref.object_id, "view": v,
@@ -141,14 +147,16 @@ def _make_rows(job: Job, ref: ObjectRef) -> ObjectRows:
 
 
 def _views(
-    job: Job, shape: Any, key: tuple[str, str, str], count: int
+    job: Job, shape: Any, key: tuple[str, str, str], count: int, others: list[Any]
 ) -> list[View | RejectedView]:
     """An object's views; one that a rule turns away is drawn again, if the occluder allows it.
 
     Every draw has a key of its own, so that a view does not depend on what became of the others.
     """
+    setting = SETTINGS[job.setting]
     # A fixed pose stays what it is.
-    attempts = 1 if job.setting == "aligned" else getattr(job.occluder, "attempts", 1)
+    fixed = setting.whole and setting.turns == "none"
+    attempts = 1 if fixed else getattr(job.occluder, "attempts", 1)
     views: list[View | RejectedView] = []
     missing = list(range(count))
     for attempt in range(attempts):
@@ -156,11 +164,20 @@ def _views(
         keys = [(*key, v, *again) for v in missing]
         poses = _poses(job, shape, keys)
         rngs = [generator(job.seed, *k, "occluder") for k in keys]
-        for v, view in zip(missing, job.occluder.views(shape, poses, rngs), strict=True):
+        before = {}
+        if others:
+            before["others"] = Others(others, [generator(job.seed, *k, "occluders") for k in keys])
+        seen = job.occluder.views(shape, poses, rngs, **before)
+        for v, view in zip(missing, seen, strict=True):
             views[v : v + 1] = [_with_enough_points(view, job.min_visible)]
         missing = [v for v, view in enumerate(views) if isinstance(view, RejectedView)]
         if not missing:
             break
+    if not setting.whole and setting.turns != "so3":
+        views = [
+            view if isinstance(view, RejectedView) else _moved(view, _canonical(job, (*key, v)))
+            for v, view in enumerate(views)
+        ]
     if attempts == 1:
         return views
     return [
@@ -180,12 +197,34 @@ def _with_enough_points(view: View | RejectedView, minimum: int) -> View | Rejec
 def _poses(
     job: Job, shape: Any, keys: list[tuple[str | int, ...]]
 ) -> list[tuple[NDArray, NDArray]]:
-    if job.setting == "aligned":
-        return [ALIGNED_POSE] * len(keys)
+    setting = SETTINGS[job.setting]
+    if setting.whole and setting.turns != "so3":
+        return [_canonical(job, key) for key in keys]
     rngs = [generator(job.seed, *key, "pose") for key in keys]
     # "rotated" is about all of SO(3): where a person could stand does not bear on it.
-    choose = None if job.setting == "rotated" else getattr(job.source, "poses", None)
+    choose = None if setting.whole else getattr(job.source, "poses", None)
     return choose(shape, rngs) if choose else [sample_pose(rng) for rng in rngs]
+
+
+def _canonical(job: Job, key: tuple[str | int, ...]) -> tuple[NDArray, NDArray]:
+    """The pose of a setting with the object's axes: canonical, or turned about the object's z."""
+    if SETTINGS[job.setting].turns == "none":
+        return np.eye(3), CANONICAL_PLACE
+    angle = generator(job.seed, *key, "turn").uniform(0, 2 * np.pi)
+    return portable.axis_rotation("z", angle), CANONICAL_PLACE
+
+
+def _moved(view: View, pose: tuple[NDArray, NDArray]) -> View:
+    """What a view shows, in another frame: no camera's, so that there is no image either."""
+    R, t = pose
+    canonical = portable.product(view.points - view.t_camera_object, view.R_camera_object)
+    return replace(
+        view,
+        points=(portable.product(canonical, R.T) + t).astype(np.float32),
+        R_camera_object=R,
+        t_camera_object=t,
+        K=np.zeros((3, 3)),
+    )
 
 
 def draw(n: int, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -220,6 +259,8 @@ def _row(view: View, chosen: NDArray, label: int, object_id: bytes, index: int,
                 f"the occluder gave {len(view.normals)} normals for {len(view.points)} points"
             )
         row["normals"] = view.normals[chosen]
+    if view.occluded_fraction is not None:
+        row["occluded_fraction"] = view.occluded_fraction
     return row
 
 

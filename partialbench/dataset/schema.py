@@ -61,6 +61,8 @@ FIELDS: tuple[Field, ...] = (
     _field("normals", ("P", 3), "<f4", "camera", "",
            "unit normals of the surface at the points, towards the camera (n·p < 0)",
            optional=True),
+    _field("occluded_fraction", (), "<f4", "", "1",
+           "share of the object's pixels that other objects hide", optional=True),
 )  # fmt: skip
 """Every field of a row, in the order in which the row digest reads them."""
 

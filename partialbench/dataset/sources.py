@@ -66,6 +66,8 @@ class View:
             the camera (n·p < 0), or None.
         symmetry: name of this object's own symmetry group (``geometry.symmetry.GROUPS``), or None
             for its class's.
+        occluded_fraction: share of the object's pixels that other objects hide, or None where none
+            were put before it.
     """
 
     points: NDArray[np.float32]
@@ -77,6 +79,7 @@ class View:
     depth: NDArray[np.float32] | None = None
     normals: NDArray[np.float32] | None = None
     symmetry: str | None = None
+    occluded_fraction: float | None = None
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ class Source(Protocol):
     A source may also have ``poses(shape, rngs) -> list[(R_camera_object, t_camera_object)]``, one
     pose per generator: scanned scenes choose viewpoints where a person could stand. Without it the
     builder draws the paper's poses (``geometry.camera.sample_pose``), as it does for every source
-    in the setting "rotated". It may have ``listing``, a sentence on how its files were understood,
+    for complete clouds. It may have ``listing``, a sentence on how its files were understood,
     and ``pose``: "none" where nobody knows the poses of its objects.
 
     Attributes:
@@ -160,7 +163,9 @@ class Occluder(Protocol):
 
     An occluder may also have ``attempts``: how often the builder draws a pose anew for a view that
     is rejected (once without it). A rejected view of the last attempt is recorded. And
-    ``min_visible``: how many distinct points a view of this kind shows at least, by default.
+    ``min_visible``: how many distinct points a view of this kind shows at least, by default. And
+    ``occluders``: where it is not 0, ``views`` takes ``others`` (``dataset.others.Others``), which
+    stand before the object.
     """
 
     def views(

@@ -326,6 +326,8 @@ def _value_problems(columns: Columns, manifest: Manifest) -> list[str]:
     require((labels >= 0) & (labels < len(manifest.class_names)), "label is out of range")
     fraction = columns["visible_fraction"]
     require((fraction >= 0) & (fraction <= 1), "visible_fraction is outside [0, 1]")
+    occluded = columns.get("occluded_fraction", np.zeros(rows))
+    require((occluded >= 0) & (occluded <= 1), "occluded_fraction is outside [0, 1]")
     require([_is_text(name) for name in columns["object_id"].tolist()], "object_id is no UTF-8")
     known = {name.encode() for name in GROUPS}
     require(np.array([s in known for s in columns["symmetry"]]), "symmetry is no known group")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from partialbench import registry
-from partialbench.dataset.rows import ALIGNED_POSE, draw
+from partialbench.dataset.rows import CANONICAL_PLACE, draw
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
@@ -106,7 +106,7 @@ def _pose(pose: Any, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64
         if pose == "random":
             return sample_pose(generator(seed, "render_view", "pose"))
         if pose == "aligned":
-            return ALIGNED_POSE
+            return np.eye(3), CANONICAL_PLACE
         raise InputError(
             f"no pose {pose!r}{registry.close_matches(pose, ['random', 'aligned'])}; or give (R, t)"
         )

@@ -44,6 +44,7 @@ class MemoryClouds:
         ]
         self.num_points, self.class_names, self.setting = num_points, tuple(classes), setting
         self.sensor, self.has_poses, self.has_normals = "", True, False
+        self.occluders, self.grid = 0.0, ""
         self.dataset_id, self.digest = "toy", f"{seed:064d}"
         self.labels = np.array([c for c, _, _ in rows], np.int64)
         self.object_ids = np.array([f"{classes[c]}_{o:04d}" for c, o, _ in rows])

@@ -93,10 +93,29 @@ def test_the_turn_is_about_the_camera_and_uniform_in_its_mean(clouds):
     assert turned.mean(dim=0).abs().max() < 0.04
 
 
+@pytest.mark.parametrize("setting", ["z-rotated", "partial-z"])
+def test_clouds_turned_about_z_are_turned_about_z_again(clouds, setting):
+    turned = memory_clouds.MemoryClouds(setting=setting)
+    source = stream(turned)
+    found = []
+    for place, batch in epoch(source, 0):
+        rows = source.order(0)[16 * place.batch : 16 * (place.batch + 1)]
+        found.append(batch.rotation.double().numpy() @ turned.rotations[rows].swapaxes(1, 2))
+    turns = np.concatenate(found)
+    np.testing.assert_allclose(
+        turns[:, 2], np.broadcast_to([0, 0, 1], turns[:, 2].shape), atol=1e-6
+    )
+    assert is_rotation(turns, 1e-5).all()
+    angles = np.arctan2(turns[:, 1, 0], turns[:, 0, 0])
+    # Uniform on the circle: the mean of n unit vectors is of length 1/√n.
+    assert abs(np.exp(1j * angles).mean()) < 3 / len(angles) ** 0.5
+
+
 def test_aligned_clouds_are_not_turned_and_neither_is_anything_without_rotation(clouds):
     aligned = memory_clouds.MemoryClouds(setting="aligned")
+    shown = memory_clouds.MemoryClouds(setting="partial-aligned")
     fixed = Protocol("test", num_points=64, jitter_sigma=0.0, rotation="none")
-    for source in (stream(aligned), stream(clouds, fixed)):
+    for source in (stream(aligned), stream(shown), stream(clouds, fixed)):
         _, batch = next(epoch(source, 0))
         rows = source.order(0)[:16]
         assert np.array_equal(

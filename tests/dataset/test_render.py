@@ -11,6 +11,7 @@ from partialbench.dataset.build import build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.render import plan_render, source_of
+from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.sources import RejectedObject
 from partialbench.dataset.verify import verify
 from partialbench.errors import InputError
@@ -33,7 +34,13 @@ def test_the_papers_numbers_are_the_defaults(tmp_path):
     [
         ("pm40", {"source": "rooms", "source_options": {"rooms": 1}}, "makes ps15-rooms, not pm40"),
         ("pm41", {}, "no data set 'pm41'; did you mean pm40"),
-        ("pm40", {"setting": "upside"}, "setting 'upside' is not one of partial, rotated, aligned"),
+        ("pm40", {"setting": "upside"}, "setting 'upside' is not one of partial, partial-z"),
+        ("pm40", {"setting": "partial-z", "normals": True}, "frame, to which normals belong"),
+        (
+            "pm40",
+            {"setting": "partial-aligned", "occluder_options": {"keep_depth": True}},
+            "to which depth images belong",
+        ),
         ("pm40", {"splits": ("val",)}, "no split 'val'"),
         ("pm40", {"occluder_options": {"radius": 3.0}}, "radius=3.0 does not apply"),
         ("pm40", {"sensor": "kinekt"}, "did you mean kinect-v1"),
@@ -48,7 +55,7 @@ def test_what_cannot_be_is_refused(tmp_path, data_set, options, message, monkeyp
         plan_render(data_set, tmp_path / "out", **options)
 
 
-@pytest.mark.parametrize("setting", ["partial", "rotated", "aligned"])
+@pytest.mark.parametrize("setting", SETTINGS)
 def test_every_setting_renders_and_verifies(tmp_path, setting):
     plan = plan_render("pm40", tmp_path, setting=setting, splits=("test",), **SMALL)
     manifest = build(plan, InlineExecutor)

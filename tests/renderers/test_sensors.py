@@ -200,7 +200,7 @@ def test_multipath_is_off_by_default_and_only_lengthens() -> None:
     assert (on - off).min() >= -1e-6
 
 
-@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize("name", [name for name in SENSORS if not name.startswith("stereo")])
 def test_every_sensor_keeps_empty_pixels_empty_and_is_seeded(name: str) -> None:
     sensor = make_sensor(name)
     depth = np.stack([two_steps(), two_steps()]) / 0.5

@@ -19,6 +19,7 @@
     seeds = 3                      # how many from 0, or a list
     test = ["clouds"]              # other data sets to test on as well
     points = [64]                  # tests on fewer points; poses = ["0", "15"]: with the pose given
+    damages = ["all"]              # tests on damaged clouds; ["jitter:3"]
     options = {grid = 16}          # of the model; recipe = {lr = 0.002}; precision = "bf16-mixed"
     protocol = {stretch = 1.25}    # fields of the preset to change: another protocol, other columns
 
@@ -48,14 +49,14 @@ from partialbench.benchmark import preflight
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
-from partialbench.benchmark.testing import given_pose
+from partialbench.benchmark.testing import damage, given_pose
 from partialbench.errors import InputError
 from partialbench.registry import ModelCard, close_matches
 
 TOP = ("results", "work", "board", "preset", "data", "train", "tune")
 DATA = ("render", "digests", "made_by")
 COMMON = ("models", "data", "clouds", "options", "recipe", "precision", "protocol")
-TRAIN = (*COMMON, "seeds", "test", "points", "poses")
+TRAIN = (*COMMON, "seeds", "test", "points", "poses", "damages")
 TUNE = (*COMMON, "tries", "seed")
 
 
@@ -104,6 +105,7 @@ class Entry:
     points: tuple[int, ...] = ()
     poses: tuple[str, ...] = ()
     tries: tuple[Mapping[str, Any], ...] = ()
+    damages: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -266,12 +268,19 @@ class _Reader:
             self.several(fields.get("points", []), int, "points"),
             poses,
             tuple(tries),
+            self.damages(fields),
         )
         if found.points and min(found.points) < 1:
             raise self.wrong("points", f"points must be 1 or more, got {min(found.points)}")
         if not found.seeds or min(found.seeds) < 0:
             raise self.wrong("seeds", f"seeds must be one or more, from 0 on; got {seeds!r}")
         return found
+
+    def damages(self, fields: Mapping[str, Any]) -> tuple[str, ...]:
+        try:
+            return damage.parse(self.several(fields.get("damages", []), str, "damages"))
+        except InputError as error:
+            raise self.wrong("damages", str(error)) from error
 
     def known(self, fields: Mapping[str, Any], names: Sequence[str], where: str) -> None:
         for name in fields:

@@ -34,12 +34,13 @@ FAILURES = "failures.jsonl"
 
 @dataclass(frozen=True)
 class Condition:
-    """On what a milestone is tested: the data set's name, points of a cloud (None: as trained), and
-    the pose that is given ("" for none)."""
+    """On what a milestone is tested: the data set's name, points of a cloud (None: as trained), the
+    pose that is given and the damage done ("" for none)."""
 
     data: str
     points: int | None = None
     pose: str = ""
+    damage: str = ""
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,7 @@ def _tests(entry: Entry, data: str) -> tuple[Condition, ...]:
         *own,
         *(Condition(test.data, points) for test in own for points in entry.points),
         *(Condition(test.data, None, pose) for test in own for pose in entry.poses),
+        *(Condition(test.data, None, "", name) for test in own for name in entry.damages),
     )
 
 
@@ -230,7 +232,7 @@ class Ledger:
                 result.model, _json(result.options), _json(result.recipe),
                 result.training["environment"]["precision"], result.seed, result.clouds,
                 result.protocol_digest, result.train_data.digest, test.digest,
-                test.points, result.given_pose,
+                test.points, result.given_pose, result.damage,
             )
         )  # fmt: skip
         speed = result.training["clouds_per_second"]
@@ -241,7 +243,7 @@ class Ledger:
         return (
             job.model, job.options, self.recipe_of(job), job.precision, job.seed, job.clouds,
             protocol.digest, train, self.digests[test.data].get("test"),
-            test.points or protocol.num_points, test.pose,
+            test.points or protocol.num_points, test.pose, test.damage,
         )  # fmt: skip
 
     def _trial(self, job: Job, train: str) -> tuple[object, ...]:

@@ -111,7 +111,8 @@ def _work(job: Job, order: dict[str, Any], stop: Path) -> None:
         job.model, folders[job.data], [folders[t.data] for t in job.tests if t.data != job.data],
         seeds=1, first_seed=job.seed, clouds=[job.clouds], recipe=json.loads(job.recipe),
         test_points=[t.points for t in job.tests if t.points is not None],
-        test_poses=[t.pose for t in job.tests if t.pose], **common,
+        test_poses=[t.pose for t in job.tests if t.pose],
+        test_damages=[t.damage for t in job.tests if t.damage], **common,
     )  # fmt: skip
 
 

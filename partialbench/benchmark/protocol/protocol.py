@@ -7,8 +7,8 @@ What a protocol fixes:
 - The weights at the milestone are evaluated. Validation is logged and selects nothing.
 - Every training cloud is a random subset of its row's points, turned by a random rotation,
   stretched and jittered where the protocol asks for it, the same for every model: a function of
-  (seed, epoch, batch), whatever the hardware. Clouds of the "aligned" setting are not turned, for
-  then they would be "rotated".
+  (seed, epoch, batch), whatever the hardware. Clouds of an aligned setting are not turned, for
+  then they would be "rotated"; those turned about z are turned about z again.
 - Every model takes the common recipe (``registry.COMMON_RECIPE``) and is a trunk with a branch at
   each milestone, or it keeps its published one (``registry.Recipe``) over its whole length.
 

@@ -33,6 +33,8 @@ PREDICTIONS_SUFFIX = ".predictions.npz"
 INDEPENDENT = 1e-3
 """How far a company audit's logits may move, as a share of their size, for an answer to be a
 cloud's own: rounding moves them by less, another batch-mate by more."""
+LATER = {"damage", "grid"}
+"""Fields that records written before there was such a thing have not, and mean their default."""
 LONGEST_ROW = 80
 """Characters of a row's name in a file name; the digest at its end tells the rest apart."""
 
@@ -42,7 +44,7 @@ class DataRecord:
     """One split of one data folder as a record names it.
 
     Attributes:
-        id: "pm40-parametric" and the like. setting: "partial", "rotated" or "aligned".
+        id: "pm40-parametric" and the like. setting: of ``dataset.settings``.
         digest: of the split's content.
         clouds, objects: how many of it were used.
         points: of a cloud.
@@ -60,10 +62,11 @@ class DataRecord:
 
 
 def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
-    """How a record names these rows of a split."""
+    """How a record names these rows of a split; occluders are part of the setting's name."""
+    before = f", occluders {dataset.occluders:g}" if dataset.occluders else ""
     return DataRecord(
         id=dataset.dataset_id,
-        setting=dataset.setting,
+        setting=dataset.setting + before,
         digest=dataset.digest,
         clouds=len(rows),
         objects=len(np.unique(dataset.object_ids[rows])),
@@ -93,6 +96,8 @@ class Result:
         train_data, test_data: see ``DataRecord``.
         given_pose: what the model was told of each test cloud's pose, see ``given_pose.parse``; ""
             for nothing, as ever but for such a test.
+        damage: what was done to the test clouds, see ``damage.parse``; "" for nothing.
+        grid: the cell of a grid that it was tested on, see ``dataset.grid``; "" for none.
         clouds: the milestone it was trained to; ``training["clouds_seen"]`` is the exact number.
         training: see ``train.Trained.summary``.
         weights_sha256: of the tensors that were tested.
@@ -128,6 +133,8 @@ class Result:
     predictions_file: str
     predictions_sha256: str
     scores: dict[str, Any]
+    damage: str = ""
+    grid: str = ""
 
     @property
     def row(self) -> str:
@@ -138,18 +145,23 @@ class Result:
     def conditions(self) -> dict[str, str]:
         """In what the test was made to differ from the training; mostly in nothing.
 
-        "points": of a cloud. "sensor": what distorted the clouds, on the data set trained on.
-        "pose": what was told of theirs. "scored": "transductively", where the answer for a cloud
-        hangs on the clouds scored beside it.
+        "grid": the cell, whose sensor is no condition besides. "points": of a cloud. "sensor": what
+        distorted the clouds, on the data set trained on. "pose": what was told of theirs. "damage":
+        what was done to them. "scored": "transductively", where the answer for a cloud hangs on the
+        clouds scored beside it.
         """
         train, test = self.train_data, self.test_data
         found = {}
+        if self.grid:
+            found["grid"] = self.grid
         if test.points != self.protocol["num_points"]:
             found["points"] = str(test.points)
-        if test.id == train.id and test.sensor != train.sensor:
+        if not self.grid and test.id == train.id and test.sensor != train.sensor:
             found["sensor"] = test.sensor or "ideal"
         if self.given_pose:
             found["pose"] = self.given_pose
+        if self.damage:
+            found["damage"] = self.damage
         if self.company_audit["drift"] > INDEPENDENT:
             found["scored"] = "transductively"
         return found
@@ -234,9 +246,10 @@ def read(path: Path) -> Result:
         )
     names = {f.name for f in fields(Result)}
     present = set(record) - {"format", "format_version", "record_sha256"}
-    if present != names:
+    if present | LATER != names:
         raise InputError(
-            f"{path}: missing fields {sorted(names - present)}, unknown {sorted(present - names)}"
+            f"{path}: missing fields {sorted(names - present - LATER)}, unknown "
+            f"{sorted(present - names)}"
         )
     if record.get("record_sha256") != record_digest(record):
         raise InputError(
@@ -246,7 +259,7 @@ def read(path: Path) -> Result:
     fault = schema.record_fault(record)
     if fault:
         raise InputError(f"{path}: an entry is not what it should be: {fault}")
-    values = {name: record[name] for name in names}
+    values = {name: record[name] for name in names & present}
     values["card"] = cards.load(path.parent, record["card"])
     train = record["train_data"]
     classes = record["test_data"]["class_names"] or train["class_names"]

@@ -192,6 +192,8 @@ class RecordFile(TypedDict):
     seed: int
     clouds: Positive
     given_pose: str
+    damage: NotRequired[str]
+    grid: NotRequired[str]
     model_code: Code
     weights_sha256: Digest
     training: Training

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,6 +23,7 @@ from partialbench.benchmark.records.results import DataRecord, Result
 from partialbench.benchmark.testing import (
     audit,
     company,
+    damage,
     evaluate,
     given_pose,
     isolation,
@@ -39,16 +41,22 @@ def run_tests(
     test_poses: Sequence[str],
     fabric: Fabric,
     folder: Path,
+    damages: Sequence[str] = (),
 ) -> list[Result]:
-    """Tests a finished checkpoint's model on each test set, then with each pose given.
+    """Tests a finished checkpoint's model on each test set, with each pose given, and damaged.
 
-    Poses are given with clouds of the size trained on alone: a test under two conditions lies on no
-    curve. Cost and audit are measured once for each test set, without a pose.
+    Poses and damages (see ``damage.parse``) are for clouds of the size trained on alone: a test
+    under two conditions lies on no curve. Cost and audit are measured once for each test set, and
+    once for all cells of a grid.
     """
     device, classes = fabric.device, len(content["class_names"])
     model = model.to(device)
     written = []
+    of_grid: dict[str, Any] = {}
     for test_set in test_sets:
+        if test_set.grid and of_grid:
+            written.append(_test(content, model, test_set, fabric, folder, of_grid))
+            continue
         # A protocol that tests few clouds is meant to be quick; these are not to outlast it.
         most = content["protocol"]["max_test_clouds"] or len(test_set)
         with isolation.unchanged(model):
@@ -59,10 +67,16 @@ def run_tests(
             )
         found = company.company_audit(model, test_set, classes, device, min(company.COMPANY, most))
         _tell(content["model"], found)
-        measured = {"cost": cost, "rotation_audit": turned, "company_audit": found}
-        poses = test_poses if test_set.num_points == content["num_points"] else ()
-        for pose in ("", *poses):
-            written.append(_test(content, model, test_set, pose, fabric, folder, measured))
+        measured: dict[str, Any] = {
+            "cost": cost, "rotation_audit": turned, "company_audit": found,
+        }  # fmt: skip
+        one = functools.partial(_test, content, model, test_set, fabric, folder, measured)
+        written.append(one())
+        if test_set.grid:
+            of_grid = measured
+        elif test_set.num_points == content["num_points"]:
+            written += [one(pose=pose) for pose in test_poses]
+            written += [one(damaged=name) for name in damages]
     return written
 
 
@@ -85,10 +99,11 @@ def _test(
     content: Mapping[str, Any],
     model: nn.Module,
     test_set: Clouds,
-    pose: str,
     fabric: Fabric,
     folder: Path,
     measured: dict[str, dict[str, Any]],
+    pose: str = "",
+    damaged: str = "",
 ) -> Result:
     """Tests on one test split and writes the record; returns it as its file has it."""
     protocol = protocols.from_dict(content["protocol"])
@@ -116,6 +131,8 @@ def _test(
         seed=content["seed"],
         clouds=content["clouds"],
         given_pose=pose,
+        damage=damaged,
+        grid=test_set.grid,
         training=content["summary"],
         **measured,
         environment=environment.describe(fabric.device),
@@ -124,8 +141,9 @@ def _test(
         predictions_sha256="",
         scores={},
     )
+    clouds = damage.DamagedClouds(test_set, damaged) if damaged else test_set
     predictions = evaluate.predict_rows(
-        model, test_set, rows, train_data.class_names, fabric.device,
+        model, clouds, rows, train_data.class_names, fabric.device,
         train_sources=content["train_sources"],
         given=given_pose.told(pose, test_set, rows, train_data.class_names) if pose else None,
         answers_alone=bool(result.conditions),

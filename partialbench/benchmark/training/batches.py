@@ -21,8 +21,9 @@ from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.training.stretch import stretched
 from partialbench.dataset.seeding import generator
+from partialbench.dataset.settings import turns_of
 from partialbench.errors import InputError
-from partialbench.geometry.rotations import haar_rotations
+from partialbench.geometry.rotations import axis_rotation, haar_rotations
 from partialbench.geometry.symmetry import map_rotations
 
 
@@ -36,8 +37,9 @@ class Place(NamedTuple):
 class BatchStream:
     """Augmented training batches of some rows of a data set.
 
-    Each cloud p of a batch becomes Q·S·p + jitter with a rotation Q of its own and, where the
-    protocol asks for it, a stretching S along its object's axes; its label R becomes Q·R. A last
+    Each cloud p of a batch becomes Q·S·p + jitter with a rotation Q of its own (any, or as the
+    data's setting has it: about z alone, or none) and, where the protocol asks for it, a stretching
+    S along its object's axes; its label R becomes Q·R. A last
     incomplete batch is left out (one cloud alone would break batch norm); an epoch's order is new
     each time, so no cloud is left out for good.
 
@@ -71,7 +73,7 @@ class BatchStream:
             raise InputError(
                 f"a batch of {self.batch_size} clouds cannot be shared evenly by {world} processes"
             )
-        self.turns = protocol.rotation == "so3" and dataset.setting != "aligned"
+        self.turns = turns_of(dataset.setting) if protocol.rotation == "so3" else "none"
 
     def __len__(self) -> int:
         """Batches an epoch."""
@@ -95,8 +97,8 @@ class BatchStream:
             points = stretched(
                 points, rotation, self.dataset.symmetries[chosen], self.protocol.stretch, rng
             )
-        if self.turns:
-            turn = haar_rotations(rng, len(chosen))
+        if self.turns != "none":
+            turn = self._turns(rng, len(chosen))
             points = points @ turn.swapaxes(1, 2).astype(np.float32)
             if normals is not None:
                 normals = normals @ turn.swapaxes(1, 2).astype(np.float32)
@@ -117,6 +119,11 @@ class BatchStream:
             torch.from_numpy(mapped.astype(np.float32)),
             None if normals is None else torch.from_numpy(np.ascontiguousarray(normals[mine])),
         )
+
+    def _turns(self, rng: np.random.Generator, size: int) -> NDArray[np.float64]:
+        if self.turns == "z":
+            return axis_rotation("z", rng.uniform(0, 2 * np.pi, size))
+        return haar_rotations(rng, size)
 
     def steps(self, first: int, last: int) -> Iterator[tuple[int, Place, Batch]]:
         """The batches of the steps from ``first`` up to, not with, ``last``, across epochs.

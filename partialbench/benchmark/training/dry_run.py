@@ -43,13 +43,18 @@ TURNS = 4
 
 
 def try_out(
-    task: Task, fabric: Fabric, test_sets: Sequence[Clouds] = (), poses: Sequence[str] = ()
+    task: Task,
+    fabric: Fabric,
+    test_sets: Sequence[Clouds] = (),
+    poses: Sequence[str] = (),
+    damages: Sequence[str] = (),
 ) -> None:
     """Trains one batch, answers for clouds alone and turned, and writes and reads the records.
 
     Args:
         task: the training to come.
-        test_sets, poses: as the evaluation will test it; none for a training that is not tested.
+        test_sets, poses, damages: as the evaluation will test it, each damage in one strength; none
+            for a training that is not tested.
 
     Raises:
         InputError: what will not work, and where. Errors that are sentences already pass as they
@@ -75,7 +80,8 @@ def try_out(
         if fabric.is_global_zero and test_sets:
             with _saying(task.model, "testing, and writing and reading its record,"):
                 content = checkpoint.load(RunFolder(folder).branch(goal))
-                testing.run_tests(content, model, test_sets, poses, fabric, folder)
+                strongest = [*{name.partition(":")[0]: name for name in damages}.values()]
+                testing.run_tests(content, model, test_sets, poses, fabric, folder, strongest)
     fabric.barrier()
 
 

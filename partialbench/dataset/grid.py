@@ -1,0 +1,155 @@
+"""One grid over the same objects: rotation × what is seen × sensor × occluders.
+
+    rotation = ["none", "z", "so3"]
+    shown = ["complete", "one view"]
+    sensor = ["ideal", "kinect-v1", "tof", "stereo-d415"]
+    occluders = [0, 0.25, 0.5]
+
+An axis that a file leaves out is as in ``Cell()``. Complete clouds are of no camera: they are made
+once for each rotation, with neither sensor nor occluders. Every cell shows the same objects from
+the same places, so that cells pair cloud by cloud.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from partialbench.dataset.settings import SETTINGS
+from partialbench.dataset.shards import make_folder, write_atomically
+from partialbench.errors import InputError
+from partialbench.registry import close_matches
+
+NAME = "grid.json"
+FORMAT = "partialbench-grid"
+COMPLETE, ONE_VIEW = "complete", "one view"
+ROTATIONS = ("none", "z", "so3")
+SHOWN = (COMPLETE, ONE_VIEW)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination of the axes' values."""
+
+    rotation: str = "so3"
+    shown: str = ONE_VIEW
+    sensor: str = "ideal"
+    occluders: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """As records and folders have it: "so3_one-view_kinect-v1_0.25"."""
+        return "_".join(
+            [self.rotation, self.shown.replace(" ", "-"), self.sensor.replace(":", "-x"),
+             f"{self.occluders:g}"]
+        )  # fmt: skip
+
+    @property
+    def setting(self) -> str:
+        """The setting of its data."""
+        wanted = self.shown == COMPLETE, self.rotation
+        return next(n for n, s in SETTINGS.items() if (s.whole, s.turns) == wanted)
+
+
+AXES: dict[str, tuple[Any, ...]] = {
+    "rotation": ROTATIONS, "shown": SHOWN, "sensor": (), "occluders": (),
+}  # fmt: skip
+"""Axis → the values it may have; () for those that the renderer knows."""
+
+
+def load(path: Path) -> list[Cell]:
+    """The cells of a grid file, in the order of its axes.
+
+    Raises:
+        InputError: no such file, not TOML, an unknown axis or value, or no value.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} is not a readable grid file: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path} is not TOML: {error}") from error
+    return cells_of(content, str(path))
+
+
+def cells_of(content: Mapping[str, Any], where: str) -> list[Cell]:
+    """See ``load``; ``where`` is named in errors."""
+    for axis in content:
+        if axis not in AXES:
+            raise InputError(f"{where}: a grid has no axis {axis!r}{close_matches(axis, AXES)}")
+    values = {axis: _values(content, axis, where) for axis in AXES}
+    found: dict[Cell, None] = {}
+    for rotation, shown, sensor, occluders in itertools.product(*values.values()):
+        if shown == COMPLETE:
+            sensor, occluders = "ideal", 0.0
+        found[Cell(rotation, shown, sensor, float(occluders))] = None
+    return list(found)
+
+
+def _values(content: Mapping[str, Any], axis: str, where: str) -> list[Any]:
+    values = content.get(axis, [getattr(Cell(), axis)])
+    values = values if isinstance(values, list) else [values]
+    kind = (int, float) if axis == "occluders" else str
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, kind):
+            raise InputError(f"{where}: {axis} holds {value!r}; expected e.g. {AXES[axis] or 0.25}")
+        if AXES[axis] and value not in AXES[axis]:
+            raise InputError(
+                f"{where}: {axis} has no value {value!r}; expected {', '.join(AXES[axis])}"
+            )
+    if not values:
+        raise InputError(f"{where}: {axis} has no value; leave it out or give one")
+    return values
+
+
+def write(folder: Path, cells: list[Cell]) -> None:
+    """Lists the cells of a folder, each a data folder in it by its name.
+
+    Raises:
+        InputError: the folder is of another grid.
+    """
+    make_folder(folder)
+    content = {"format": FORMAT, "cells": [asdict(cell) for cell in cells]}
+    if (folder / NAME).is_file() and read(folder) != cells:
+        raise InputError(f"{folder} holds another grid, see its {NAME}; choose another folder")
+    write_atomically(folder / NAME, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def read(folder: Path) -> list[Cell]:
+    """The cells of a folder that ``render --grid`` made.
+
+    Raises:
+        InputError: no such folder, or not one of a grid.
+    """
+    path = folder / NAME
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT:
+            raise ValueError(f"format {content['format']!r}")
+        return [Cell(**cell) for cell in content["cells"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{folder} is no grid of 'partialbench render --grid': {path.name}: {error}"
+        ) from error
+
+
+def parse(name: str) -> Cell:
+    """The cell that ``Cell.name`` named.
+
+    Raises:
+        InputError: no such name.
+    """
+    parts = name.split("_")
+    try:
+        rotation, shown, sensor, occluders = parts
+        cell = Cell(rotation, shown.replace("-", " "), sensor.replace("-x", ":"), float(occluders))
+    except ValueError as error:
+        raise InputError(f"{name!r} is no cell of a grid") from error
+    if cell.name != name or rotation not in ROTATIONS or cell.shown not in SHOWN:
+        raise InputError(f"{name!r} is no cell of a grid")
+    return cell

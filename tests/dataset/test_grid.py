@@ -1,0 +1,109 @@
+"""Grid files and their cells, and a grid rendered and tested from end to end."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from partialbench.benchmark.run import run_eval
+from partialbench.cli import app
+from partialbench.dataset import grid
+from partialbench.dataset.grid import Cell
+from partialbench.dataset.loader import ShardDataset
+from partialbench.errors import InputError
+from tests.benchmark.tiny_models import MODELS, SMALL
+
+WHOLE = """
+rotation = ["none", "z", "so3"]
+shown = ["complete", "one view"]
+sensor = ["ideal", "kinect-v1", "tof", "stereo-d415"]
+occluders = [0, 0.25, 0.5]
+"""
+
+
+def test_the_product_has_complete_clouds_once_a_rotation(tmp_path):
+    (tmp_path / "grid.toml").write_text(WHOLE)
+    cells = grid.load(tmp_path / "grid.toml")
+    assert len(cells) == len(set(cells)) == 3 * (1 + 4 * 3)
+    assert {cell.setting for cell in cells if cell.shown == "complete"} == {
+        "aligned", "z-rotated", "rotated",
+    }  # fmt: skip
+    assert {cell.setting for cell in cells if cell.shown == "one view"} == {
+        "partial-aligned", "partial-z", "partial",
+    }  # fmt: skip
+    assert len({cell.name for cell in cells}) == len(cells)
+    assert all(grid.parse(cell.name) == cell for cell in cells)
+
+
+def test_an_axis_left_out_has_one_value():
+    assert grid.cells_of({}, "here") == [Cell("so3", "one view", "ideal", 0.0)]
+    assert Cell("so3", "one view", "tof:2", 0.5).name == "so3_one-view_tof-x2_0.5"
+    assert grid.parse("so3_one-view_tof-x2_0.5").sensor == "tof:2"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("rotations = ['z']", "no axis 'rotations'; did you mean rotation"),
+        ("rotation = ['x']", "rotation has no value 'x'; expected none, z, so3"),
+        ("occluders = ['much']", "occluders holds 'much'"),
+        ("sensor = []", "sensor has no value"),
+        ("shown = ", "not TOML"),
+    ],
+)
+def test_what_is_no_grid_is_refused(tmp_path, content, words):
+    path = tmp_path / "grid.toml"
+    path.write_text(content)
+    with pytest.raises(InputError, match=words):
+        grid.load(path)
+    with pytest.raises(InputError, match="no cell"):
+        grid.parse("so3_one-view_ideal")
+    with pytest.raises(InputError, match="no grid of"):
+        grid.read(tmp_path)
+
+
+def test_a_folder_holds_one_grid(tmp_path):
+    grid.write(tmp_path, [Cell()])
+    grid.write(tmp_path, [Cell()])
+    assert grid.read(tmp_path) == [Cell()]
+    with pytest.raises(InputError, match="holds another grid"):
+        grid.write(tmp_path, [Cell("z")])
+
+
+def test_a_grid_is_rendered_and_tested(tmp_path):
+    (tmp_path / "grid.toml").write_text('rotation = ["z", "so3"]\nshown = ["complete", "one view"]')
+    common = ["--counts", "2,1", "--points", "128", "--workers", "1", "--resolution", "48"]
+    render = ["render", "pm40", *common, "--out"]
+    grown = str(tmp_path / "grid")
+    done = CliRunner().invoke(app, [*render, grown, "--grid", str(tmp_path / "grid.toml")])
+    assert done.exit_code == 0, done.output
+    sets = {c.name: ShardDataset(tmp_path / "grid" / c.name, "test", 64)
+            for c in grid.read(tmp_path / "grid")}  # fmt: skip
+    first, *others = sets.values()
+    assert len(sets) == 4
+    for other in others:
+        np.testing.assert_array_equal(first.object_ids, other.object_ids)
+    refused = CliRunner().invoke(
+        app, [*render, grown, "--grid", str(tmp_path / "grid.toml"), "--sensor", "tof"]
+    )
+    assert refused.exit_code == 1
+
+    data = str(tmp_path / "data")
+    assert CliRunner().invoke(app, [*render, data, "--views", "1"]).exit_code == 0
+    results = tmp_path / "results"
+    run_eval(f"{MODELS}:Posed", data, results_folder=results, **SMALL)
+    (checkpoint,) = results.glob("runs/*/branch-*/checkpoint.pt")
+    tested = run_eval(
+        f"{MODELS}:Posed", checkpoint_file=checkpoint, grid=grown, results_folder=results
+    )
+    assert [r.grid for r in tested] == list(sets)
+    assert all(r.conditions == {"grid": r.grid} for r in tested)
+    assert {r.test_data.setting for r in tested} == {
+        "z-rotated", "rotated", "partial-z", "partial",
+    }  # fmt: skip
+    assert json.loads((tmp_path / "grid" / grid.NAME).read_text())["format"] == grid.FORMAT
+    with pytest.raises(InputError, match="give --checkpoint"):
+        run_eval(f"{MODELS}:Posed", data, grid=grown, results_folder=results, **SMALL)
