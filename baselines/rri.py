@@ -123,7 +123,10 @@ class RRIPointNet2(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k → logits (B,K)."""
-        points = normalise(points)
-        features = F.relu_(self.embed.max(rri(points, self.k, self.ramp)))
+        # In double precision: the ramp is steep, and rounding is to move no angle.
+        precise = normalise(points.double())
+        points = precise.to(full_precision(points).dtype)
+        invariant = rri(precise, self.k, self.ramp).to(points.dtype)
+        features = F.relu_(self.embed.max(invariant))
         start = farthest_from_centre(points)
         return Prediction(self.classifier.classify(points, features, start))

@@ -118,7 +118,8 @@ def analyse(records: Sequence[Result], folder: Path, factors: Sequence[str]) -> 
         means.append([float(np.mean(right)) for right in seeds])
     assert reference is not None
     signs = {f: _signs(i, len(factors)) for i, f in enumerate(factors)}
-    wanted: list[tuple[str, ...]] = [*((f,) for f in factors), *itertools.combinations(factors, 2)]
+    wanted: list[tuple[str, ...]] = [(f,) for f in factors]
+    wanted += itertools.combinations(factors, 2)
     effects = {
         names: contrast(
             np.stack(values, axis=1), reference[1], means,
