@@ -29,6 +29,7 @@ from leaderboard.tables.text import layout_as_markdown
 from leaderboard.words import difference, percent
 from partialbench import registry
 from partialbench.benchmark.protocol import milestones
+from partialbench.benchmark.protocol.recipe import LATER
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.uncertainty import Contrast, contrast
@@ -63,7 +64,7 @@ def level(result: Result, factor: str) -> Any:
     """
     if factor == MODEL:
         return result.model
-    for fields in (result.options, result.protocol, result.recipe):
+    for fields in (result.options, result.protocol, {**LATER, **result.recipe}):
         if factor in fields:
             return fields[factor]
     default = _defaults(result.model).get(factor, inspect.Parameter.empty)

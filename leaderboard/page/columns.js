@@ -34,7 +34,7 @@ const COLUMNS = [
   { id: "seeds", title: "seeds", value: row => row.seeds, best: "high", show: row => row.seeds, help: "Trainings behind the row. A row of one seed speaks of one network, not of a method." },
   { id: "input", title: "input", value: row => row.input, best: "low", text: true, show: row => row.input, help: "What the network saw in this run." },
   { id: "groups", title: "group", value: row => row.groups, best: "low", text: true, show: row => row.groups, help: "Rows that share a number cannot be told apart." },
-  { id: "paper", title: "paper's figure", value: row => row.paper, best: "high", show: row => percent(row.paper), help: "What the paper reports for this method, on its own data; below, under “Data, protocol and digests”, stands whether ours are the same." },
+  { id: "paper", title: "paper's figure", value: row => row.paper, best: "high", show: row => percent(row.paper), help: "What the paper reports for this method, on its own data; the heading says where ours are other data." },
 ];
 
 const DEFAULT = {

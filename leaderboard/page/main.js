@@ -89,8 +89,7 @@ function behindAClick(column) {
   const others = DATA.layouts.filter(layout => layout.title.includes(column.name) || !DATA.columns.some(c => layout.title.includes(c.name)));
   return h("section", { id: "more" }, h("h2", {}, "More"),
     section("Downloads", downloads(column)),
-    section("Data, protocol and digests", h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card."),
-      column.reported && h("p", { class: "about" }, `The figures in the column “paper's figure” are: ${column.reported}.`)),
+    section("Data, protocol and digests", h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card.")),
     others.map(layout => section(layout.title, h("p", { class: "about" }, layout.about), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": layout.title }, h("table", {},
       h("thead", {}, h("tr", {}, layout.head.map((text, i) => h("th", { scope: "col", class: i ? null : "name text" }, text)))),
       h("tbody", {}, layout.rows.map(row => h("tr", {}, row.map((text, i) => h("td", { class: i ? null : "name text" }, text))))))))));

@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -149,6 +151,15 @@ def test_options_that_a_record_would_have_otherwise_are_refused_before_anything_
         with pytest.raises(InputError, match=message):
             run(load(written(tmp_path, SMALL + more)))
     assert [path.name for path in tmp_path.iterdir()] == ["board.toml"]
+
+
+def test_a_status_loads_no_torch(tmp_path):
+    path = written(tmp_path, SMALL)
+    code = (
+        "import sys; from partialbench.benchmark.campaign import file, status; "
+        f"status.status(file.load({str(path)!r})); sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
 def test_no_file_and_no_run_are_said(tmp_path):

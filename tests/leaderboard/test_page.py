@@ -256,3 +256,8 @@ def test_axe_finds_no_serious_fault(page):
         page.locator(f"nav a[href*='tab={tab}'][aria-current]").wait_for()
         found = page.evaluate("axe.run()")["violations"]
         assert [(f["id"], f["nodes"][0]["html"]) for f in found] == []
+
+
+def test_the_papers_figures_say_that_they_are_on_other_data(page):
+    heads = page.locator("#table th .sort").all_inner_texts()
+    assert "paper, PM40 (reported, other data)" in heads

@@ -12,7 +12,8 @@ from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import data_folder
 
-PROTOCOL = {"num_points": 64, "max_train_clouds": 200, "validation_fraction": 0.3}
+PROTOCOL = {"num_points": 64, "max_train_clouds": 200, "max_test_clouds": None,
+            "validation_fraction": 0.3}  # fmt: skip
 SMALL = {"clouds": 128, "device": "cpu", "preset": "smoke", "protocol": PROTOCOL}
 TWIN = {"channels": 8, "width": 8}
 

@@ -298,8 +298,8 @@ def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[s
     say(f"rendering {data.name} into {data.folder}")
     where = ["--scheduler", scheduler] if scheduler else ["--workers", str(workers)]
     command = [
-        sys.executable, "-m", "partialbench.cli", "render", *data.render, "--out", str(data.folder),
-        *where,
+        sys.executable, "-P", "-m", "partialbench.cli", "render", *data.render,
+        "--out", str(data.folder), *where,
     ]  # fmt: skip
     done = subprocess.run(command, stdout=subprocess.PIPE)  # its bar and errors are the user's
     if done.returncode:

@@ -22,14 +22,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
-
-from torch import nn
-from torch.optim import Optimizer
+from typing import TYPE_CHECKING, Any
 
 from partialbench.benchmark.protocol.milestones import Plan
 from partialbench.errors import InputError
 from partialbench.registry import Recipe, close_matches
+
+if TYPE_CHECKING:  # what is planned, a campaign's status, needs no torch
+    from torch import nn
+    from torch.optim import Optimizer
 
 PUBLISHED_EPOCH_SAMPLES = 9_840
 """Training objects of ModelNet40 as its point-cloud releases count them (9,840 of 9,843)."""
@@ -171,9 +172,11 @@ class Schedule:
             group["lr"] = rate
         decay = self.recipe.schedule_options.get("bn_momentum")
         if decay is not None:
+            from torch.nn.modules.batchnorm import _BatchNorm
+
             momentum = batch_norm_momentum(decay, progress * published_epochs(self.recipe))
             for module in model.modules():
-                if isinstance(module, nn.modules.batchnorm._BatchNorm):
+                if isinstance(module, _BatchNorm):
                     module.momentum = momentum
         return rate
 
