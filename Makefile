@@ -19,7 +19,7 @@ $(READY): pyproject.toml constraints.txt
 	@.ci/system-libraries
 	@$(PYTHON) -m venv $(VENV) || \
 		{ echo "error: no venv module; run: sudo apt-get install -y python3-venv" >&2; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all,test]'
 	@touch $@
 
 quickstart: $(READY) ## render, train, evaluate and write a leaderboard: the whole job, small

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from baselines.points import distances, farthest_from_centre, farthest_points
+from baselines.points import distances, farthest_from_centre, farthest_points, gather
 
 PUBLISHED_POINTS = 1024
 QUIRKS = {
@@ -42,10 +42,9 @@ def anchors(points: Tensor, count: int, quirks: frozenset[str] = frozenset()) ->
     start = None if "start" in quirks else farthest_from_centre(points)
     if "origin" in quirks:
         # Points that coincide with the start are the last to be chosen.
-        first = torch.zeros(len(points), dtype=torch.long) if start is None else start
-        place = points[torch.arange(len(points)), first.to(points.device)][:, None]
+        first = points[:, :1] if start is None else gather(points, start[:, None])
         near = points.square().sum(dim=-1, keepdim=True) <= SKIPPED
-        points = torch.where(near, place, points)
+        points = torch.where(near, first, points)
     return farthest_points(points, count, start, repeat="start" in quirks)
 
 

@@ -7,19 +7,21 @@ from pathlib import Path
 
 import numpy as np
 
-from leaderboard import curves, damages, given, grid, latex, tables
-from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
 from leaderboard.check import against_data, problems
 from leaderboard.comparison import compare
-from leaderboard.layouts import layouts
 from leaderboard.output import write_board
 from leaderboard.page import clouds, html
 from leaderboard.page.content import Found
-from leaderboard.poses import pose_layouts
-from leaderboard.settings import as_layout, losses, setting_families
-from leaderboard.transductive import transductive_layouts
-from leaderboard.tuning import tuning_layouts
+from leaderboard.tables import curves, damages, given, grid, latex
+from leaderboard.tables import text as tables
+from leaderboard.tables.agreement import rank_agreement
+from leaderboard.tables.layouts import layouts
+from leaderboard.tables.poses import pose_layouts
+from leaderboard.tables.settings import as_layout, losses, setting_families
+from leaderboard.tables.transductive import transductive_layouts
+from leaderboard.tables.transfer import transfer_layouts
+from leaderboard.tables.tuning import tuning_layouts
 from partialbench.benchmark.records import results, testsets
 from partialbench.errors import InputError
 
@@ -34,10 +36,28 @@ def build_leaderboard(
     with_figures: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
-    """Writes leaderboard.html, .md, .csv and .tex, two more .csv and, if asked, figures/.
+    """Writes what ``board_files`` makes; returns the paths, the page's first.
 
-    The same records (and data) give the same bytes. Files of an earlier board that this one lacks
-    are removed from ``out``.
+    Files of an earlier board that this one lacks are removed from ``out``.
+
+    Raises:
+        InputError: see there; nothing is written.
+    """
+    return write_board(
+        Path(out), board_files(results_folder, check, data, with_figures, on_progress)
+    )
+
+
+def board_files(
+    results_folder: Path | str,
+    check: bool = False,
+    data: Sequence[Path | str] = (),
+    with_figures: bool = False,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> dict[str, bytes]:
+    """leaderboard.html, .md, .csv and .tex, two more .csv and, if asked, figures/, by name.
+
+    The same records (and data) give the same bytes.
 
     Args:
         check: recompute every score from the stored predictions first, and hold cards against the
@@ -48,14 +68,10 @@ def build_leaderboard(
         with_figures: figures/*.svg and *.png too.
         on_progress: called with (steps done, steps in all).
 
-    Returns:
-        the paths, the page's first.
-
     Raises:
-        InputError: no records, or some that cannot be trusted: all that is wrong is listed, and
-            nothing is written.
+        InputError: no records, or some that cannot be trusted: all that is wrong is listed.
     """
-    folder, out = Path(results_folder), Path(out)
+    folder = Path(results_folder)
     _require_none(problems(folder, recompute=check), folder)
     test_sets = [clouds.open_test_split(Path(each)) for each in data]
     if check:
@@ -99,6 +115,7 @@ def build_leaderboard(
         *map(given.as_layout, given_poses),
         *map(damages.as_layout, damages.find_damages(board, records, folder)),
         *grid.grid_layouts(grid.find_grids(records, folder)),
+        *transfer_layouts(board, folder),
         *transductive_layouts(records),
         *rank_agreement(board),
         *map(curves.as_layout, families),
@@ -116,12 +133,11 @@ def build_leaderboard(
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
     }
     if with_figures:
-        from leaderboard import figures  # Matplotlib takes its time to load
+        from leaderboard.figures import draw as figures  # Matplotlib takes its time to load
 
         contents |= figures.files(board, comparisons, families, given_poses, folder)
-    written = write_board(out, contents)
     steps.next()
-    return written
+    return contents
 
 
 class _Steps:

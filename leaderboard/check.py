@@ -22,11 +22,12 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
     """One sentence for each thing that is wrong with the records of ``folder``; empty when sound.
 
     Found are: records that are unreadable, incomplete, of another format or edited after they were
-    written; entries that contradict each other (the protocol and its digest, epochs, steps and
-    clouds seen, options and the row's name), the record's test set or another record of the same
-    row or test data; prediction and test set files that are missing, damaged or not their record's,
-    or that no model can have given; two records of one run; prediction files that belong to no
-    record; a ``tuning.csv`` that is not one. With ``recompute`` also: scores that the stored
+    written; entries that contradict each other (the protocol and its digest, milestone, steps,
+    clouds seen and curve; the row's name and the options, recipe, start and precision), the names
+    of the record's files, its test set or another record of the same row or data; prediction and
+    test set files that are missing, damaged or not their record's, or that no model can have given;
+    two records of one run, answers or weights of one seed under two; prediction files that belong
+    to no record; a ``tuning.csv`` that is not one. With ``recompute`` also: scores that the stored
     predictions do not give, and cards and numbers of parameters that the registry does not have.
     """
     if not folder.is_dir():
@@ -44,6 +45,7 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
             continue
         named.add(result.predictions_file)
         found[path] = result
+        wrong += _names(path, result)
         wrong += [f"{path}: {fault}" for fault in consistency.own_faults(result)]
         try:
             wrong += [f"{path}: {fault}" for fault in consistency.truth_faults(folder, result)]
@@ -55,7 +57,7 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
             wrong.append(str(error))
         if recompute:
             wrong += [f"{path}: {fault}" for fault in consistency.registry_faults(result)]
-    wrong += [*_same_runs(found), *_unlike_seeds(found), *_weights(found)]
+    wrong += [*_same_runs(found), *_unlike_seeds(found), *_weights(found), *_unlike_data(found)]
     wrong += _truths(folder, found)
     wrong += [
         f"{path} belongs to no record; delete it"
@@ -67,6 +69,15 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
     except InputError as error:
         wrong.append(str(error))
     return wrong
+
+
+def _names(path: Path, result: Result) -> Iterator[str]:
+    """A run has its name, and so have its predictions."""
+    stem = result.run_name
+    if path.name != stem + SUFFIX:
+        yield f"{path} is the record of another run than its name says, {stem}{SUFFIX}"
+    if result.predictions_file != stem + PREDICTIONS_SUFFIX:
+        yield f"{path} names the predictions of another run, {result.predictions_file}"
 
 
 def _same_runs(found: Found) -> Iterator[str]:
@@ -122,11 +133,31 @@ def _weights(found: Found) -> Iterator[str]:
                 f"but of other weights (SHA-256 {weights[:12]}, {before[:12]}); test the same "
                 f"checkpoint on both"
             )
-        other, seed = seeds.setdefault((*row, weights), (path, result.seed))
-        if seed != result.seed and result.cost["parameters"]:
+        answers = (result.row, *result.column, result.predictions_sha256)
+        for what, same in (("weights", (*row, weights)), ("answers", answers)):
+            other, seed = seeds.setdefault(same, (path, result.seed))
+            if seed != result.seed and result.cost["parameters"]:
+                yield (
+                    f"{path} and {other} have the same {what} under the seeds {result.seed} and "
+                    f"{seed}: one training counts once"
+                )
+                break
+
+
+def _unlike_data(found: Found) -> Iterator[str]:
+    """What records say of one training split under one protocol is the same."""
+    told: dict[tuple[object, ...], tuple[Path, tuple[object, ...]]] = {}
+    for path, result in found.items():
+        data = result.train_data
+        says = (data.class_names, data.clouds, data.objects, data.points, data.sensor)
+        key = (data.id, data.setting, data.digest, result.protocol_digest)
+        other, before = told.setdefault(key, (path, says))
+        names = ("class names", "clouds", "objects", "points", "sensor")
+        unlike = [n for n, now, then in zip(names, says, before, strict=True) if now != then]
+        if unlike:
             yield (
-                f"{path} and {other} have the same weights under the seeds {result.seed} and "
-                f"{seed}: one training counts once"
+                f"{path} and {other} were trained on one split ({data.digest[:12]}) by one "
+                f"protocol, but tell of other {', '.join(unlike)} of it"
             )
 
 

@@ -13,14 +13,17 @@ import numpy as np
 
 from partialbench import registry
 from partialbench.benchmark import models
+from partialbench.benchmark.preflight import FULL_PRECISION
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
+from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import damage, given_pose, metrics
+from partialbench.benchmark.variant import describe_changes
 from partialbench.dataset import grid
 from partialbench.errors import InputError
-from partialbench.registry import Recipe
+from partialbench.registry import ModelCard, Recipe
 
 PRINTED = ("title", "paper", "paper_scores", "representation", "invariances", "parameters")
 """What of a card the board sets beside others' figures; its prose may have been mended since."""
@@ -68,9 +71,40 @@ def own_faults(result: Result) -> Iterator[str]:
         else:
             if named != (result.damage,):
                 yield f"{result.damage!r} is not one damage of one strength"
-    unnamed = [name for name in result.options if f"{name}=" not in result.variant]
-    if unnamed:
-        yield f"its row does not name the option(s) {', '.join(unnamed)} it was made with"
+    yield from _curve_faults(training, plan.clouds_seen)
+    changed = _changed(result)
+    if changed != result.variant:
+        yield (
+            f"its row is {result.row}, but by its options, recipe, start and precision it is "
+            f"{results.with_changes(result.model, changed)}"
+        )
+
+
+def _curve_faults(training: dict[str, Any], clouds_seen: int) -> Iterator[str]:
+    """A training's curve ends where the training does."""
+    curve = training["curve"]
+    ends = curve.get("clouds_seen", [clouds_seen])[-1:]
+    if ends != [clouds_seen]:
+        yield f"its curve ends at {ends[0] if ends else 'no'} clouds, it tells of {clouds_seen:,}"
+    for name in ("train_loss", "validation_accuracy"):
+        told, last = training[name], (curve[name] or [None])[-1]
+        if (told is None) != (last is None) or (told is not None and abs(told - last) > 1e-5):
+            yield f"its {name} is {told!r}, the last of its curve {last!r}"
+
+
+def _changed(result: Result) -> str:
+    """What was changed about the model, by all that the record says of it but the row's name."""
+    card, training = result.card, result.training
+    own = recipes.of_protocol(
+        ModelCard(
+            result.model, "", "", "", recipe=Recipe(**card["recipe"]), common=card.get("common", {})
+        ),
+        protocols.from_dict(result.protocol),
+    )
+    return describe_changes(
+        recipes.changes(own, result.recipe), result.options, training.get("start"),
+        training["environment"].get("precision", FULL_PRECISION),
+    )  # fmt: skip
 
 
 def truth_faults(folder: Path, result: Result) -> Iterator[str]:

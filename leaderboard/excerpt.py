@@ -16,7 +16,7 @@ import argparse
 import re
 from pathlib import Path
 
-from leaderboard.plain import markdown
+from leaderboard.tables.plain import markdown
 from partialbench.errors import InputError
 
 _BLOCK = re.compile(r"(<!-- leaderboard: (.*?) -->\n)(.*?)(<!-- end -->)", re.S)

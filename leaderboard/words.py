@@ -6,13 +6,14 @@ import math
 import re
 
 from leaderboard.board import Cell, Column, budget_title
+from leaderboard.tables.plain import visible
 from partialbench.benchmark.records.origin import clouds_before
 from partialbench.benchmark.records.results import Result, with_changes
 
 
 def row_title(result: Result) -> str:
     """As printed: the card's title and the variant."""
-    return with_changes(result.card["title"], result.variant)
+    return visible(with_changes(result.card["title"], result.variant))
 
 
 def model_input(result: Result) -> str:

@@ -5,13 +5,15 @@ What does not parse raises ``typer.BadParameter``: wrong usage, exit status 2.
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import typer
 
-from partialbench.geometry.camera import Camera
 from partialbench.options import plain
+
+if TYPE_CHECKING:
+    from partialbench.geometry.camera import Camera
 
 
 def pairs(given: list[str] | None) -> dict[str, Any]:
@@ -51,7 +53,7 @@ def numbers(text: str, count: int, option: str) -> list[float]:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
-    if len(values) != count or not np.isfinite(values).all():
+    if len(values) != count or not all(map(math.isfinite, values)):
         raise typer.BadParameter(f"{option} takes {count} numbers with commas, got {text!r}")
     return values
 
@@ -64,6 +66,10 @@ def _whole(value: float, what: str, option: str) -> int:
 
 def camera(text: str) -> Camera:
     """A fixed camera from FX,FY,CX,CY,WIDTH,HEIGHT in pixels."""
+    import numpy as np  # not by every --help
+
+    from partialbench.geometry.camera import Camera
+
     fx, fy, cx, cy, width, height = numbers(text, 6, "--camera")
     size = _whole(width, "WIDTH", "--camera"), _whole(height, "HEIGHT", "--camera")
     try:

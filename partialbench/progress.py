@@ -74,16 +74,23 @@ def counting_bar(console: Console, what: str) -> Callable[[int, int], None]:
 
 @contextlib.contextmanager
 def build_bar(console: Console) -> Iterator[Callable[[BuildProgress], None]]:
-    """A bar over objects with views per second and time left; yields what ``build`` calls."""
+    """A bar over objects with views per second and time left; yields what ``build`` calls.
+
+    It shows itself with the first object: before, a source that simulates has a bar of its own.
+    """
     columns = (
         TextColumn("render"), BarColumn(), MofNCompleteColumn(), TextColumn("objects"),
         TextColumn("{task.fields[rate]}"), TimeElapsedColumn(), TextColumn("left"),
         TimeRemainingColumn(), TextColumn("{task.fields[trouble]}"),
     )  # fmt: skip
-    with Bar(*columns, console=console) as bar:
-        task = bar.add_task("render", total=None, rate="", trouble="")
+    bar = Bar(*columns, console=console)
+    task = bar.add_task("render", total=None, start=False, rate="", trouble="")
+    try:
 
         def update(now: BuildProgress) -> None:
+            if not bar.tasks[0].started:
+                bar.start_task(task)
+                bar.start()
             seconds = bar.tasks[0].elapsed or 0.0
             made = now.rows - now.resumed_rows
             bar.update(
@@ -95,12 +102,14 @@ def build_bar(console: Console) -> Iterator[Callable[[BuildProgress], None]]:
             )
 
         yield update
+    finally:
+        bar.stop()
 
 
 def training_bar(console: Console, silent: bool) -> Bar:
     """A bar over steps; its task has a field "loss", in words."""
     return Bar(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("steps"),
-        TextColumn("{task.fields[loss]}"), TextColumn("left"), TimeRemainingColumn(),
-        console=console, silent=silent,
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TextColumn("steps"), TextColumn("{task.fields[loss]}"), TextColumn("left"),
+        TimeRemainingColumn(), console=console, silent=silent,
     )  # fmt: skip

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from rich.console import Console
 
-from partialbench import registry
 from partialbench.dataset.build import build
 from partialbench.dataset.executors import process_pool
 from partialbench.dataset.render import plan_render
@@ -22,14 +21,16 @@ POINTS = 1024
 CLOUDS_SEEN = 6_000
 
 
-def quickstart(out: Path, models: Sequence[str], workers: int, console: Console) -> str:
+def quickstart(
+    out: Path, models: Sequence[str], workers: int, console: Console
+) -> tuple[str, Path]:
     """Render, draw, train, test and tabulate into ``out``; a second call continues the first.
 
     Args:
         models: trained one after the other on the same clouds, a row each.
 
     Returns:
-        A few lines that say where everything is and what to do next.
+        A few lines that say where everything is and what to do next, and the leaderboard's page.
     """
     start = time.perf_counter()
     data, results, board = out / "pm40-parametric", out / "results", out / "leaderboard"
@@ -49,18 +50,19 @@ def quickstart(out: Path, models: Sequence[str], workers: int, console: Console)
     show(data, out / "gallery.html", samples=12)
     step(f"3/4 training and testing {', '.join(models)}")
     # Imported here: torch takes seconds to load, and the steps before it have something to show.
-    from partialbench.benchmark.run import run_eval
+    from partialbench.benchmark.board import leaderboard
+    from partialbench.benchmark.evaluation import evaluate
 
     results_of = {}
     for model in models:
-        (results_of[model],) = run_eval(
-            model, data, preset="board", results_folder=results, clouds=[CLOUDS_SEEN]
+        (results_of[model],) = evaluate(
+            model, data, results=results, preset="board", clouds=[CLOUDS_SEEN]
         )
     step("4/4 writing the leaderboard")
-    registry.load(registry.LEADERBOARD)(results, board)
+    page, *_ = leaderboard(results, data=[data]).save(board)
     scores = ", ".join(f"{m} {r.scores['accuracy']:.1%}" for m, r in results_of.items())
     minutes = (time.perf_counter() - start) / 60
-    return "\n".join(
+    text = "\n".join(
         [
             "",
             f"Done in {minutes:.1f} minutes. Of {manifest.rows('test')} single views of unseen "
@@ -70,7 +72,7 @@ def quickstart(out: Path, models: Sequence[str], workers: int, console: Console)
             "",
             f"  the data       {data} (CARD.md says what is in it)",
             f"  what it shows  {out / 'gallery.png'}, {out / 'gallery.html'} to turn by hand",
-            f"  the table      {board / 'leaderboard.md'}",
+            f"  the page       {page}, with the clouds on which the models disagree",
             "",
             "Next:",
             f"  partialbench eval --model {models[-1]} --clouds 25k --data {data} "
@@ -79,3 +81,4 @@ def quickstart(out: Path, models: Sequence[str], workers: int, console: Console)
             "  partialbench render pm40 --source ModelNet40.zip --out data/pm40",
         ]
     )
+    return text, page

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import fnmatch
 import importlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from partialbench import extras, user_code
 from partialbench import options as option_types
-from partialbench import user_code
 from partialbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ class Recipe:
         label_smoothing: ε, spread over all K classes (torch's sense) or, with
             ``smoothing_over_others``, over the K − 1 others (DGCNN's).
         clip_norm: global gradient norm, or None.
+        average: what is tested is the mean of the weights over a milestone's decay, and not those
+            at its end; only with "warm-up-stable-decay".
         notes: what the publication does that does not fit a field.
     """
 
@@ -47,6 +50,7 @@ class Recipe:
     label_smoothing: float = 0.0
     smoothing_over_others: bool = False
     clip_norm: float | None = None
+    average: bool = False
     notes: str = ""
 
 
@@ -160,7 +164,15 @@ OCCLUDERS: dict[str, str] = {
 }
 
 
+READ_SHAPE = "renderers.sources.single:read_shape"
+"""One mesh or cloud, a file or in memory, in the unit ball."""
+
+PICK_VARIANT = "renderers.variants:pick_variant"
+"""Tries a Mitsuba variant."""
+
 LEADERBOARD = "leaderboard.build:build_leaderboard"
+BOARD_FILES = "leaderboard.build:board_files"
+WRITE_BOARD = "leaderboard.output:write_board"
 SHAPE_EXPORT = "renderers.shapes.export:export_tree"
 RELEASES: dict[str, str] = {
     "papnet": "renderers.release:import_release",
@@ -183,6 +195,8 @@ def load(entry: str) -> Any:
                 f"no module named {error.name!r} (from {entry!r}); "
                 f"run from the folder that holds it, or install it"
             ) from error
+        if missing := extras.explained(error):
+            raise missing from error
         raise
     try:
         return getattr(module, attribute)
@@ -230,6 +244,18 @@ def card(name: str) -> ModelCard:
     if name not in table:
         raise InputError(f"no model named {name!r}{close_matches(name, table)}")
     return table[name]
+
+
+def list_models(pattern: str = "*") -> list[str]:
+    """The names of the registered models, in the order of the table. Loads no torch.
+
+    Args:
+        pattern: as a shell has it: "pointnet*".
+
+    >>> list_models("papnet*")
+    ['papnet', 'papnet-steered', 'papnet-steered-nopose']
+    """
+    return [name for name in cards() if fnmatch.fnmatchcase(name, pattern)]
 
 
 def create(name: str, num_classes: int, **options: Any) -> nn.Module:

@@ -26,6 +26,7 @@ from partialbench.dataset.sources import ObjectRef, RejectedObject, RejectedView
 from partialbench.errors import InputError
 from partialbench.geometry.portable import polar_rotation
 from partialbench.geometry.rotations import is_rotation
+from renderers.sources.cloud_store import as_labels
 
 SPLITS = ("train", "test")
 ROTATION_TOLERANCE = 1e-3
@@ -237,14 +238,13 @@ def _read_split(folder: Path, split: str) -> ReleasedSplit:
         raise InputError(
             f"{where}_points.npy is {points.dtype} {points.shape}, expected floats of shape (M,N,3)"
         )
-    if labels.ndim not in (1, 2) or (labels.ndim == 2 and labels.shape[1] != 1):
-        raise InputError(f"{where}_labels.npy has shape {labels.shape}, expected (M,) or (M,1)")
+    known = as_labels(labels, "label", len(MODELNET40), f"{where}_labels.npy")
     if rotations.ndim != 3 or rotations.shape[1:] != (3, 3):
         raise InputError(f"{where}_gt_rot.npy has shape {rotations.shape}, expected (M,3,3)")
     rows = {"points": len(points), "labels": len(labels), "gt_rot": len(rotations)}
     if len(set(rows.values())) > 1:
         raise InputError(f"{where}: the counts differ: {rows}")
-    return ReleasedSplit(points, _whole_labels(labels, where), _orthonormal(rotations, where))
+    return ReleasedSplit(points, known, _orthonormal(rotations, where))
 
 
 def _load(path: Path) -> NDArray:
@@ -252,18 +252,6 @@ def _load(path: Path) -> NDArray:
         return np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
         raise InputError(f"{path} is not a readable .npy array: {error}") from error
-
-
-def _whole_labels(labels: NDArray, where: str) -> NDArray[np.int64]:
-    values = np.asarray(labels).reshape(-1)
-    known = (values >= 0) & (values < len(MODELNET40)) & (values == np.floor(values))
-    if not known.all():
-        row = int((~known).argmax())
-        raise InputError(
-            f"{where}_labels.npy: row {row} has label {values[row]}, expected a whole number from "
-            f"0 to {len(MODELNET40) - 1}"
-        )
-    return values.astype(np.int64)
 
 
 def _orthonormal(rotations: NDArray, where: str) -> NDArray[np.float64]:

@@ -26,10 +26,12 @@ function roundTicks(low, high, about) {
   return ticks;
 }
 
-// Series: {name, points: [[x, y, low, high]], far: {x, y, low, high}}; y in the unit of its axis.
+// Series: {name, key, points: [[x, y, low, high]], far: {x, y, low, high}}; y in the unit of its axis. The key is
+// of colour and mark: a model's place in the table, so that it looks alike in every figure.
 // Returns a figure with its legend, or null where there is too little to draw.
 function lineChart({ caption, series, x, y, width, lines = true }) {
-  const drawn = series.filter(each => each.points.length).slice(0, MOST_LINES);
+  const drawn = series.filter(each => each.points.length).map((each, i) => ({ key: i, ...each }))
+    .filter(each => each.key < MOST_LINES);
   const left = series.filter(each => each.points.length).length - drawn.length;
   const all = drawn.flatMap(each => [...each.points, ...(each.far ? [[each.far.x, each.far.y, each.far.low, each.far.high]] : [])]);
   if (all.length < FEWEST_MARKS) return null;
@@ -57,7 +59,7 @@ function lineChart({ caption, series, x, y, width, lines = true }) {
   const levels = roundTicks(y0, y1, 5).map(v => s("g", {},
     s("line", { x1: box.l, x2: W - box.r, y1: py(v), y2: py(v), class: "grid" }),
     s("text", { x: box.l - 6, y: py(v) + 4, "text-anchor": "end" }, String(v))));
-  const curves = drawn.map((each, i) => s("g", {}, s("title", {}, each.name),
+  const curves = drawn.map(({ key: i, ...each }) => s("g", {}, s("title", {}, each.name),
     lines && s("path", { class: `line k${i}`, d: "M" + each.points.map(p => `${px(p[0]).toFixed(1)},${py(p[1]).toFixed(1)}`).join("L") }),
     each.far && s("path", { class: `line far k${i}`, d: `M${px(each.points.at(-1)[0])},${py(each.points.at(-1)[1])}L${px(each.far.x)},${py(each.far.y)}` }),
     each.far && s("path", { class: `line k${i}`, d: `M${px(each.far.x)},${py(each.far.low)}V${py(each.far.high)}` }),
@@ -68,11 +70,11 @@ function lineChart({ caption, series, x, y, width, lines = true }) {
     levels, ticks, curves,
     s("text", { x: (box.l + W - box.r) / 2, y: H - 5, "text-anchor": "middle" }, x.label),
     s("text", { transform: `translate(12,${(H - box.b + box.t) / 2}) rotate(-90)`, "text-anchor": "middle" }, y.label));
-  return h("figure", {}, chart, legend(drawn.map(each => each.name), left), h("figcaption", {}, caption));
+  return h("figure", {}, chart, legend(drawn, left), h("figcaption", {}, caption));
 }
 
-const legend = (names, left) => h("ul", { class: "key" },
-  names.map((name, i) => h("li", {}, s("svg", { width: 13, height: 13, viewBox: "-7 -7 14 14", "aria-hidden": "true" }, mark(i, 0, 0, i)), name)),
+const legend = (drawn, left) => h("ul", { class: "key" },
+  drawn.map(({ name, key: i }) => h("li", {}, s("svg", { width: 13, height: 13, viewBox: "-7 -7 14 14", "aria-hidden": "true" }, mark(i, 0, 0, i)), name)),
   left > 0 && h("li", { class: "quiet" }, `and ${left} more in the table`));
 
 // Where a row's accuracy lies between the lowest and the highest bound of the table.
@@ -89,7 +91,7 @@ function confusionMatrix(classes, perClass, confusions, width) {
   const names = classes.filter(name => perClass.some(([label]) => label === name) || confusions.some(c => classes[c[1]] === name));
   const index = new Map(names.map((name, i) => [name, i]));
   const margin = Math.min(86, 7 + 6.3 * Math.max(...names.map(n => Math.min(n.length, 13))));
-  const size = Math.min(width, 460), cell = (size - margin) / names.length, labelled = cell >= 7;
+  const size = Math.min(width, 460), cell = (size - margin) / names.length, labelled = cell >= 8;
   const square = (i, j, share, diagonal) => s("rect", {
     x: margin + j * cell, y: i * cell, width: cell * 0.94, height: cell * 0.94, "fill-opacity": Math.max(0.06, share), class: `cell ${diagonal ? "k0" : "k1"}`,
   }, s("title", {}, `${names[i]} named ${names[j]}: ${percent(share)} %`));
@@ -98,7 +100,7 @@ function confusionMatrix(classes, perClass, confusions, width) {
     perClass.map(([label, share]) => square(index.get(label), index.get(label), share, true)),
     confusions.map(([i, j, share]) => square(index.get(classes[i]), index.get(classes[j]), share, false)),
     labelled && names.map((name, i) => [
-      s("text", { x: margin - 4, y: (i + 0.5) * cell + 3, "text-anchor": "end", "font-size": Math.min(11, cell) }, short(name)),
-      s("text", { transform: `translate(${margin + (i + 0.5) * cell + 3},${size - margin + 4}) rotate(-90)`, "text-anchor": "end", "font-size": Math.min(11, cell) }, short(name)),
+      s("text", { x: margin - 4, y: (i + 0.5) * cell + 3, "text-anchor": "end", class: cell < 12 ? "small" : null }, short(name)),
+      s("text", { transform: `translate(${margin + (i + 0.5) * cell + 3},${size - margin + 4}) rotate(-90)`, "text-anchor": "end", class: cell < 12 ? "small" : null }, short(name)),
     ]));
 }

@@ -78,7 +78,7 @@ def free_test_splits(results_folder: Path, digests: set[str]) -> list[ShardDatas
 def disagreements(
     column: Column, folder: Path, data: Sequence[ShardDataset], samples: int = SAMPLES
 ) -> list[Sample]:
-    """Clouds that one model names rightly and another wrongly (first seed of each), drawn at random.
+    """Clouds that one model names rightly and another wrongly (first seed of each), at random.
 
     Args:
         data: test splits to take points from; one whose digest is the column's must be there, else

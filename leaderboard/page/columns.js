@@ -4,7 +4,7 @@ const pose = key => row => (row.pose ? row.pose[key] : null);
 
 const COLUMNS = [
   { id: "rank", title: "rank", value: row => row.rank, best: "low", show: row => row.rank ?? "",
-    help: "1, and one more for each model that is better beyond doubt: a paired test over test objects and, where rows have several seeds, over seeds; Holm's correction over all pairs, 5 %. Equal ranks cannot be told apart." },
+    help: "1, and one more for each model that is better beyond doubt, or as the row above where that is more: a paired test over test objects and, where rows have several seeds, over seeds; Holm's correction over all pairs, 5 %. Equal ranks cannot be told apart." },
   { id: "model", title: "model", value: row => row.title.toLowerCase(), best: "low", text: true,
     help: "One row a model, as its card declares it; what was changed about a variant stands in brackets. Opens to its card, its command, its curves." },
   { id: "accuracy", title: "accuracy (%)", value: row => row.accuracy, best: "high",
@@ -34,7 +34,7 @@ const COLUMNS = [
   { id: "seeds", title: "seeds", value: row => row.seeds, best: "high", show: row => row.seeds, help: "Trainings behind the row. A row of one seed speaks of one network, not of a method." },
   { id: "input", title: "input", value: row => row.input, best: "low", text: true, show: row => row.input, help: "What the network saw in this run." },
   { id: "groups", title: "group", value: row => row.groups, best: "low", text: true, show: row => row.groups, help: "Rows that share a number cannot be told apart." },
-  { id: "paper", title: "paper's figure", value: row => row.paper, best: "high", show: row => percent(row.paper), help: "What the paper reports for this method, on its own data; below, under “Data, protocol and digests”, stands whether ours are the same." },
+  { id: "paper", title: "paper's figure", value: row => row.paper, best: "high", show: row => percent(row.paper), help: "What the paper reports for this method, on its own data; the heading says where ours are other data." },
 ];
 
 const DEFAULT = {

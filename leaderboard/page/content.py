@@ -11,13 +11,13 @@ from typing import Any
 
 from leaderboard.board import Column
 from leaderboard.comparison import Comparison
-from leaderboard.curves import Family
-from leaderboard.given import GivenPoses
-from leaderboard.layouts import Layout
 from leaderboard.page import facts, rows
 from leaderboard.page.clouds import Sample, drawn
 from leaderboard.scaling import FAR, Seen, extrapolate, group, learning_curves
-from leaderboard.settings import Loss, compared_rows
+from leaderboard.tables.curves import Family
+from leaderboard.tables.given import GivenPoses, heading
+from leaderboard.tables.layouts import Layout
+from leaderboard.tables.settings import Loss, compared_rows
 from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
 from partialbench.benchmark.protocol import milestones
 from partialbench.dataset.loader import ShardDataset
@@ -136,7 +136,7 @@ def _without_milestone(column: Column) -> str:
 
 
 def setting_data(family: dict[str, Column], lost: dict[str, list[Loss]]) -> dict[str, Any]:
-    """Of each row that two settings or more have: its accuracy in each, and what each step costs."""
+    """Of each row that two settings have, or more: its accuracy in each, what each step costs."""
     return {
         "milestone": milestones.name(_clouds(next(iter(family.values())))),
         "settings": list(family),
@@ -161,7 +161,7 @@ def setting_data(family: dict[str, Column], lost: dict[str, list[Loss]]) -> dict
 def given_data(given: GivenPoses) -> dict[str, Any]:
     """Accuracies under each pose that rows were told, with intervals."""
     return {
-        "poses": given.poses,
+        "poses": [[pose, heading(pose)] for pose in given.poses],
         "rows": [
             {
                 "id": name,

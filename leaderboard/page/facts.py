@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from leaderboard.board import Column
-from leaderboard.settings import Loss
+from leaderboard.tables.settings import Loss
 from leaderboard.words import percent
 
 
@@ -100,7 +100,7 @@ def _points(found: Any) -> str:
 
 
 def _range(low: float, high: float) -> str:
-    return f"{100 * low:.1f} to {100 * high:.1f}"
+    return f"{100 * low:.1f} to {100 * high:.1f}".replace("-", "−")
 
 
 def _list(parts: list[str]) -> str:

@@ -8,7 +8,6 @@ const EMPTY = {
   pose: "No model that finds poses was tested yet; papnet and papnet-steered do.",
   cost: "No model was tested yet.",
 };
-const POSES = { own: "its own pose", 0: "the true pose", random: "a random pose" };
 
 function choices(id, label, options, value, change) {
   if (options.length < 2) return h("span", {}, `${label} `, h("strong", {}, options[0]?.[1] || dash));
@@ -44,10 +43,10 @@ function conditions(column, width) {
 
 function given(column) {
   if (!column.given) return null;
-  const title = pose => POSES[pose] || `± ${pose}°`;
+  const titles = new Map(column.given.poses);
   return h("section", {}, h("h2", {}, "What the pose is worth"),
     h("p", { class: "about" }, "Accuracy (%) of the same weights with the pose they find themselves, and told the labelled one, that with noise on every Euler angle, or one at random. Gain: of the true pose over its own, paired."),
-    grid(["model", ...column.given.poses, "gain"], column.given.rows, (row, pose) => (pose === "gain" ? row.gain : row.accuracy[pose]), pose => (pose === "gain" ? pose : title(pose))));
+    grid(["model", ...titles.keys(), "gain"], column.given.rows, (row, pose) => (pose === "gain" ? row.gain : row.accuracy[pose]), pose => titles.get(pose) || pose));
 }
 
 // A table of means with their intervals.
@@ -62,9 +61,12 @@ function grid([first, ...places], rows, value, heading = String) {
 
 function whatItShows(column, width) {
   const main = column.rows.filter(row => row.main), steps = column.settings;
+  // Rows of another table, in this one's order.
+  const keyed = rows => rows.map(row => ({ ...row, key: main.findIndex(each => each.id === row.id) }))
+    .filter(row => row.key >= 0).sort((a, b) => a.key - b.key);
   const settings = steps && lineChart({
     caption: `From complete clouds in a known pose to what one side shows: accuracy of the same models after ${steps.milestone} clouds.`, width,
-    series: steps.rows.map(row => ({ name: row.title, points: row.shares.flatMap((share, i) => (share === null ? [] : [[i, 100 * share]])) })),
+    series: keyed(steps.rows).map(row => ({ name: row.title, key: row.key, points: row.shares.flatMap((share, i) => (share === null ? [] : [[i, 100 * share]])) })),
     x: { label: "what is tested", places: steps.settings.map((_, i) => i), text: i => steps.settings[i] }, y: { label: "accuracy (%)", least: 0, most: 100 },
   });
   const cost = state.tab === "cost" && lineChart({
@@ -74,7 +76,7 @@ function whatItShows(column, width) {
   });
   const topK = state.tab === "pose" && lineChart({
     caption: "Share of clouds whose true pose bin is among the k most probable of the 60.", width,
-    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
+    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: Math.min(main.indexOf(row), MOST_LINES - 1), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
     x: { label: "k", text: String }, y: { label: "share of clouds (%)", least: 0, most: 100 },
   });
   return h("section", { id: "shows" }, h("h2", {}, "What this shows"),
@@ -87,8 +89,7 @@ function behindAClick(column) {
   const others = DATA.layouts.filter(layout => layout.title.includes(column.name) || !DATA.columns.some(c => layout.title.includes(c.name)));
   return h("section", { id: "more" }, h("h2", {}, "More"),
     section("Downloads", downloads(column)),
-    section("Data, protocol and digests", h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card."),
-      column.reported && h("p", { class: "about" }, `The figures in the column “paper's figure” are: ${column.reported}.`)),
+    section("Data, protocol and digests", h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card.")),
     others.map(layout => section(layout.title, h("p", { class: "about" }, layout.about), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": layout.title }, h("table", {},
       h("thead", {}, h("tr", {}, layout.head.map((text, i) => h("th", { scope: "col", class: i ? null : "name text" }, text)))),
       h("tbody", {}, layout.rows.map(row => h("tr", {}, row.map((text, i) => h("td", { class: i ? null : "name text" }, text))))))))));

@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 from partialbench import registry
 
 FILE = Path(__file__).with_name("picture.svg")
-OBJECT = "chair_0001"
-POINTS = 1_500
+OBJECT = "chair_0003"
+POINTS = 2_600
 CAMERA = np.array([-1.75, -0.75, 0.55])
 """Where it stands, world frame, z up; it looks at the origin."""
 RADIUS = 100.0
@@ -31,7 +31,7 @@ def draw() -> str:
     source = registry.load(registry.SOURCES["parametric"])(counts=(5, 0))
     ref = next(r for r in source.objects("train") if r.object_id == OBJECT)
     points, _ = trimesh.sample.sample_surface(source.load(ref), POINTS, seed=0)
-    pose = Rotation.from_euler("xyz", (0.2, -0.15, -0.75)).as_matrix()
+    pose = Rotation.from_euler("xyz", (0.1, -0.1, -0.9)).as_matrix()
     points = points @ pose.T
     seen = np.zeros(len(points), bool)
     remove = registry.load("renderers.hpr:hidden_point_removal")
@@ -41,7 +41,7 @@ def draw() -> str:
         _dots(points[seen], "seen", 2.4),
         _camera(),
         '<g class="axes">'
-        + "".join(_line(np.zeros(3), 1.05 * pose[:, i], f"a{name}") for i, name in enumerate("xyz"))
+        + "".join(_line(np.zeros(3), 0.9 * pose[:, i], f"a{name}") for i, name in enumerate("xyz"))
         + "</g>",
     ]
     x, y = _place(CAMERA)

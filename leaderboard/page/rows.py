@@ -65,7 +65,7 @@ def _row(
         "model": first.model,
         "title": row_title(first),
         "main": name in main,
-        "rank": _rank(name, main, comparison) if name in main else None,
+        "rank": _ranks(main, comparison).get(name),
         "accuracy": _short(cell.mean()),
         "std": _short(cell.std()),
         "low": _short(low),
@@ -76,7 +76,7 @@ def _row(
         "without_duplicates": _short(cell.mean("accuracy_without_duplicates")) if alone else None,
         "shared": _short(cell.mean("restricted_accuracy")) if crosses(column) else None,
         "calibration": _short(cell.mean("calibration_error")),
-        "pose": None if cell.pose is None else {k: _short(v) for k, v in cell.pose._asdict().items()},
+        "pose": cell.pose and {name: _short(v) for name, v in cell.pose._asdict().items()},
         "claims": sorted(first.card["invariances"]),
         "turned": _short(cell.drift),
         "input": model_input(first),
@@ -92,16 +92,20 @@ def _row(
     }  # fmt: skip
 
 
-def _rank(name: str, main: list[str], comparison: Comparison) -> int:
-    """1 and one more for each row that is better beyond doubt (the paired test, Holm's level)."""
-    better = (
-        other
-        for other in main
-        if (other, name) in comparison.p_values
-        and comparison.p_values[other, name] <= LEVEL
-        and comparison.differences[other, name][0] > 0
-    )
-    return 1 + sum(1 for _ in better)
+def _ranks(main: list[str], comparison: Comparison) -> dict[str, int]:
+    """1 and one more for each row that is better beyond doubt (the paired test, Holm's level).
+
+    Never less than that of the row above: a row may be told apart from fewer than one before it.
+    """
+    ranks: dict[str, int] = {}
+    for place, name in enumerate(main):
+        better = sum(
+            comparison.p_values.get((other, name), 1.0) <= LEVEL
+            and comparison.differences[other, name][0] > 0
+            for other in main[:place]
+        )
+        ranks[name] = max([1 + better, *ranks.values()])
+    return ranks
 
 
 def _behind(best: str, name: str, comparison: Comparison) -> list[float | None] | None:

@@ -29,6 +29,8 @@ function table(column) {
   const linked = seen.find(row => row.id === state.row);
   if (linked && fits(linked) && !lines.includes(linked)) lines.push(linked);
 
+  // The paper's figures say whether they are on other data than the rows beside them.
+  const title = c => (c.id === "paper" ? column.reported || c.title : c.title);
   const head = h("tr", {}, columns.map(c => h("th", {
     scope: "col", class: [c.id === "model" && "name", c.text && "text"].filter(Boolean).join(" ") || null,
     "aria-sort": c === order.by ? order.direction : null,
@@ -36,7 +38,7 @@ function table(column) {
   }, h("button", {
     type: "button", class: "sort", "data-key": `sort-${c.id}`,
     onclick: () => go({ sort: c.id, dir: c === order.by && state.dir !== "worst" ? "worst" : "" }),
-  }, c.title), explained(c.help, c.title))));
+  }, title(c)), explained(c.help, title(c)))));
 
   const body = lines.flatMap(row => {
     const open = state.row === row.id;

@@ -110,9 +110,9 @@ class PAPNetSteered(nn.Module):
             rotation: (B,3,3) object → camera, where the pose is known; by default all poses count.
 
         Returns:
-            log-probabilities of the class (B,K), the sum over the poses, or of the class and the
-            given one together, so that answers under several poses compare; and of the bin (B,60),
-            to which the poses nearest to it count.
+            log-probabilities of the class (B,K), the sum over the poses, or, under a given one, its
+            scores as they are, so that those under several poses compare; and log-probabilities of
+            the bin (B,60), to which the poses nearest to it count.
         """
         if rotation is not None and rotation.shape != (len(points), 3, 3):
             raise InputError(
@@ -123,14 +123,15 @@ class PAPNetSteered(nn.Module):
             classes, bins = self._answer(points, rotation)
         else:
             answers = [self._answer(each, rotation) for each in windows(points, self.votes)]
-            classes, bins = (
-                torch.stack(each).logsumexp(0) - math.log(self.votes)
-                for each in zip(*answers, strict=True)
-            )
+            classes, bins = map(torch.stack, zip(*answers, strict=True))
+            # Scores under one pose are no probabilities: their mean is taken as they are.
+            classes = classes.mean(0) if rotation is not None else _mean_of_logs(classes)
+            bins = _mean_of_logs(bins)
         return Prediction(classes, bins)
 
     def _answer(self, points: Tensor, rotation: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Log-probabilities of the class (B,K) and of the bin (B,60) of one window."""
+        """Log-probabilities of the class (B,K), or scores under the given pose, and
+        log-probabilities of the bin (B,60), of one window."""
         scores, view = self.head.look(self.describe(points))
         scores = full_precision(scores)
         share = self.share.expand(len(scores), -1, -1)
@@ -143,8 +144,7 @@ class PAPNetSteered(nn.Module):
         if rotation is None:
             return joint.logsumexp(1), bins
         entries = wigner_entries(rotation[:, None].to(scores.device), self.head.lmax)
-        under = full_precision(self.head.scores(view, entries))[:, 0]
-        return under - scores.flatten(1).logsumexp(1, keepdim=True), bins
+        return full_precision(self.head.scores(view, entries))[:, 0], bins
 
     def _refined(self, scores: Tensor, share: Tensor, view: View) -> tuple[Tensor, Tensor]:
         """Scores (B,P,K) and shares (B,P,60) with the likeliest poses moved to where they climb."""
@@ -204,7 +204,7 @@ class PAPNetSteeredNoPose(nn.Module):
             full_precision(self.head(self.describe(each))).log_softmax(1)
             for each in windows(points, self.votes)
         ]
-        return Prediction(torch.stack(answers).logsumexp(0) - math.log(self.votes))
+        return Prediction(_mean_of_logs(torch.stack(answers)))
 
     def training_loss(self, batch: Batch) -> Tensor:
         """CE of the class, a scalar."""
@@ -219,6 +219,11 @@ def windows(points: Tensor, votes: int) -> list[Tensor]:
     """
     part = torch.arange(points.shape[1], device=points.device) % votes
     return [points[:, part != left_out] for left_out in range(votes)]
+
+
+def _mean_of_logs(logs: Tensor) -> Tensor:
+    """(V,…) → (…): the logarithm of the mean of what they are logarithms of."""
+    return logs.logsumexp(0) - math.log(len(logs))
 
 
 def _log_joint(scores: Tensor) -> Tensor:

@@ -75,15 +75,44 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
         points = read_cloud(content, str(path), drop_unmeasured=True)
         if kind in (".xyz", ".txt", ".csv", ".pts"):
             _say_columns(path, _columns_of_text(content))
+    return shaped(points, path)
+
+
+def given_points(points: ArrayLike, name: str = "the cloud") -> NDArray[np.float64]:
+    """The finite points (n,3) float64 of a cloud in memory, as ``read_points`` gives a file's.
+
+    Args:
+        points: (N,3) of any real dtype, an array or a tensor; further columns are refused.
+
+    Raises:
+        InputError: no such array, or see ``read_points``.
+    """
+    if hasattr(points, "detach"):  # a tensor, on whatever device
+        points = points.detach().cpu().double().numpy()
+    array = np.asarray(points)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"{name} is of type {array.dtype}; expected (N,3) real numbers")
+    if array.ndim != 2 or array.shape[1] != 3:
+        hint = "; transpose it" if array.ndim == 2 and array.shape[0] == 3 else ""
+        raise InputError(f"{name} has shape {array.shape}, expected (N,3){hint}")
+    array = array.astype(np.float64)
+    return shaped(array[np.isfinite(array).all(axis=1)], name)
+
+
+def shaped(points: NDArray, path: Path | str) -> NDArray[np.float64]:
+    """Points of a shape, moved where they are too far away for 32 bits; each is still another.
+
+    Args:
+        points: (n,3), finite.
+        path: what errors call them.
+
+    Raises:
+        InputError: see ``read_points``.
+    """
     if len(points) < MIN_POINTS:
         raise InputError(
             f"{path} has {len(points)} finite points, at least {MIN_POINTS} are needed"
         )
-    return _shaped(points, path)
-
-
-def _shaped(points: NDArray, path: Path) -> NDArray[np.float64]:
-    """The points, moved where they are too far away for 32 bits; each is still another."""
     points = np.asarray(points, np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high / 2 - low / 2).max()) * 2  # of halves: a difference could be infinite

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,45 +13,94 @@ from numpy.typing import ArrayLike, NDArray
 
 from partialbench import user_code
 from partialbench.benchmark import inputs
-from partialbench.benchmark.captures import captures, read_points
+from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
+from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.benchmark.training import checkpoint
 from partialbench.benchmark.training.trunk import RunFolder, progress
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
 
-__all__ = ["Answer", "Classifier", "captures", "draw", "find_checkpoint", "predict", "read_points"]
+__all__ = [
+    "Answer", "Classifier", "captures", "draw", "find_checkpoint", "load_model", "predict",
+    "read_points",
+]  # fmt: skip
 
 log = logging.getLogger(__name__)
 
 VOTES = 8
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Answer:
     """What a model says about one cloud.
 
     Attributes:
-        top: up to five (class name, probability), best first.
-        points_given, points_used: in the file, and seen by the model over all votes.
-        poses: up to five (R_camera_object (3,3), probability) over the 60 bins, best first; empty
-            for a model without pose. A bin is within 44.5° of every rotation it stands for.
+        class_names: of the K classes, by label.
+        probabilities: (K,) float64 over them, the mean over the votes.
+        pose_probabilities: (60,) float64 over the rotation bins (``geometry.bins``), or None for a
+            model without pose. A bin is within 44.5° of every rotation it stands for.
+        points_given, points_used: in the cloud, and seen by the model over all votes.
     """
 
-    top: list[tuple[str, float]]
+    class_names: tuple[str, ...]
+    probabilities: NDArray[np.float64]
+    pose_probabilities: NDArray[np.float64] | None
     points_given: int
     points_used: int
-    poses: list[tuple[NDArray[np.float64], float]]
+
+    @property
+    def top(self) -> list[tuple[str, float]]:
+        """Up to five (class name, probability), best first."""
+        return [
+            (self.class_names[i], float(self.probabilities[i])) for i in _best(self.probabilities)
+        ]
+
+    @property
+    def poses(self) -> list[tuple[NDArray[np.float64], float]]:
+        """Up to five (R_camera_object (3,3), probability), best first; empty without pose."""
+        if self.pose_probabilities is None:
+            return []
+        shares = self.pose_probabilities
+        return [(rotation_bins()[i], float(shares[i])) for i in _best(shares)]
 
     @property
     def class_name(self) -> str:
+        """The most probable class."""
         return self.top[0][0]
 
     @property
     def confidence(self) -> float:
+        """Its probability."""
         return self.top[0][1]
+
+    @property
+    def rotation(self) -> NDArray[np.float64] | None:
+        """R_camera_object (3,3) of the most probable bin, or None for a model without pose."""
+        return self.poses[0][0] if self.poses else None
+
+    def __repr__(self) -> str:
+        shares = ", ".join(f"{name} {share:.1%}" for name, share in self.top[:3])
+        return f"<Answer {shares}; {self.points_used:,} of {self.points_given:,} points>"
+
+
+def _best(shares: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Indices of up to five, the largest first; of equal ones the first."""
+    return np.argsort(-shares, kind="stable")[:5]
+
+
+def load_model(weights: Path | str, device: str = "auto", model: str | None = None) -> Classifier:
+    """A trained model, to be asked about clouds and files: see ``Classifier``.
+
+    ::
+
+        classifier = partialbench.load_model("results")   # a folder of eval's with one run
+        answer = classifier.predict(points)               # (N,3), camera frame
+        answer.class_name, answer.confidence, answer.rotation
+    """
+    return Classifier(weights, device, model)
 
 
 def predict(
@@ -67,7 +117,7 @@ def predict(
 
 
 class Classifier:
-    """A trained model, to be asked about files.
+    """A trained model, to be asked about clouds (``predict``) and files (called).
 
     A model is best on clouds of as many points as it was trained on. A denser capture is cut at
     random into clouds of that many, and their probabilities are averaged.
@@ -78,6 +128,11 @@ class Classifier:
         device: "cpu", "cuda", "cuda:1", or "auto".
         model: "module:factory" of a model of one's own: named here, never by the checkpoint.
 
+    Attributes:
+        path: of the checkpoint. content: what it holds.
+        name: of the model as it was found: registered, or your "module:factory".
+        model: the ``nn.Module``, in evaluation mode.
+
     Raises:
         InputError: no such device, or weights that make no model.
     """
@@ -86,9 +141,12 @@ class Classifier:
         kind, index = find_device(device)
         self.device = torch.device(kind if index is None else f"{kind}:{index}")
         path = find_checkpoint(Path(weights))
+        # What the user named: a checkpoint never names code to import.
         model = None if model is None else user_code.named(model)
+        self.path = path
         self.content = checkpoint.load(path)
         checkpoint.require_finished(self.content, path, "classify")
+        self.name = checkpoint.model_of(self.content, model)
         self.model = checkpoint.build_model(self.content, model).to(self.device)
         if inputs.needs_normals(self.model):
             raise InputError(
@@ -119,34 +177,65 @@ class Classifier:
             InputError: a file that cannot be read or is no shape, a depth image without K, no
                 votes, or a model that cannot answer.
         """
+        return self._answer(read_points(Path(file), K, depth_scale), str(file), votes)
+
+    def predict(self, points: Any, votes: int = VOTES) -> Answer | list[Answer]:
+        """What the model says of clouds in memory; of each what it says of that cloud alone.
+
+        Args:
+            points: one cloud (N,3), several of one size (B,N,3), or a list of clouds of any sizes:
+                arrays or tensors of any real dtype, in any unit, camera frame x right, y down, z
+                forward. Points that are not finite are left out. Clouds far from the origin are
+                moved in 64 bits before they are rounded to 32.
+            votes: at most so many clouds, without a point in common, are cut from a dense one.
+
+        Returns:
+            One ``Answer`` for (N,3); else a list with one for each cloud.
+
+        Raises:
+            InputError: as for a file. Which cloud it was is said.
+        """
+        several = isinstance(points, list | tuple)
+        dimensions = (1 + np.ndim(points[0]) if points else 3) if several else np.ndim(points)
+        if dimensions == 2:
+            return self._answer(given_points(points), "the cloud", votes)
+        if dimensions != 3:
+            raise InputError(
+                f"expected (N,3), (B,N,3) or a list of clouds, got {dimensions} dimension(s)"
+            )
+        names = [f"cloud {i}" for i in range(len(points))]
+        clouds = [given_points(one, name) for one, name in zip(points, names, strict=True)]
+        return [self._answer(one, name, votes) for one, name in zip(clouds, names, strict=True)]
+
+    def _answer(self, given: NDArray, name: str, votes: int) -> Answer:
+        """What the model says of points (n,3) that ``captures.shaped`` let pass."""
         if votes < 1:
             raise InputError(f"votes must be at least 1, got {votes}")
-        given = read_points(Path(file), K, depth_scale)
-        count, names = self.content["num_points"], self.content["class_names"]
+        count, class_names = self.content["num_points"], tuple(self.content["class_names"])
         clouds = draw(given, count, min(votes, max(1, len(given) // count)))
         try:
-            with torch.inference_mode():
+            # What a model draws or remembers is of no other cloud: the same cloud, the same answer.
+            with unchanged(self.model), torch.inference_mode(), keyed_draws(device=self.device):
                 output = self.model(torch.from_numpy(clouds).to(self.device))
-            prediction = as_prediction(output, len(clouds), len(names))
+            prediction = as_prediction(output, len(clouds), len(class_names))
         except Exception as error:  # whatever a model does not like about a cloud
             raise InputError(
-                f"{file}: the model cannot answer ({type(error).__name__}: {error})"
+                f"{name}: the model cannot answer ({type(error).__name__}: {error})"
             ) from error
         shares = prediction.class_logits.double().softmax(1).mean(0)
         if not bool(torch.isfinite(shares).all()):
             raise InputError(
-                f"{file}: the model's answer is not a finite number; its weights, or this cloud, "
+                f"{name}: the model's answer is not a finite number; its weights, or this cloud, "
                 f"are not what it can work with"
             )
-        values, order = shares.topk(min(5, len(names)))
-        top = [(names[int(i)], float(v)) for v, i in zip(values, order, strict=True)]
-        poses = []
-        if prediction.pose_logits is not None:
-            values, order = prediction.pose_logits.double().softmax(1).mean(0).topk(5)
-            poses = [
-                (rotation_bins()[int(i)], float(v)) for v, i in zip(values, order, strict=True)
-            ]
-        return Answer(top, len(given), clouds.shape[0] * clouds.shape[1], poses)
+        poses = prediction.pose_logits
+        return Answer(
+            class_names,
+            shares.cpu().numpy(),
+            None if poses is None else poses.double().softmax(1).mean(0).cpu().numpy(),
+            len(given),
+            clouds.shape[0] * clouds.shape[1],
+        )
 
 
 BRANCHES = "branch-*/checkpoint.pt"

@@ -26,6 +26,7 @@ from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import damage, given_pose
 from partialbench.benchmark.testing import run as testing
 from partialbench.benchmark.training import checkpoint, dry_run, finetune
+from partialbench.benchmark.training.follow import check_log
 from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.benchmark.training.train import Task, train
@@ -56,6 +57,7 @@ def run_eval(
     first_seed: int = 0,
     start_from: Path | str | None = None,
     precision: str = FULL_PRECISION,
+    log_to: str = "csv",
     checkpoint_every: int | None = None,
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
@@ -90,6 +92,8 @@ def run_eval(
         start_from: checkpoint of a finished training of this model, whose weights each training
             begins from (fine-tuning); makes another row.
         device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
+        log_to: where a training's log goes while it grows: "csv", at the end only, or "tensorboard"
+            too.
         checkpoint_every: save every so many steps, besides every few minutes.
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
         test_points: test on clouds of so many points too, beside the number trained on.
@@ -116,6 +120,7 @@ def run_eval(
         model, data=folders, results=results_folder, device=device, precision=precision,
         checkpoints=[path for path in (checkpoint_file, start_from) if path is not None],
     )  # fmt: skip
+    check_log(log_to)
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     damages = damage.parse(test_damages)
@@ -193,7 +198,9 @@ def run_eval(
             folder = runs_folder / run_folder(task)
             log.info("training %s, seed %d, to %d clouds in %s", model, task.seed, goal, folder)
             with hold(folder, fabric.is_global_zero):
-                trained = train(task, fabric, folder, goal, checkpoint_every, should_stop)
+                trained = train(
+                    task, fabric, folder, goal, checkpoint_every, should_stop, log_to=log_to
+                )
                 if fabric.is_global_zero:
                     content = checkpoint.load(RunFolder(folder).branch(goal))
                     written += testing.run_tests(

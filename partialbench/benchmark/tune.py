@@ -91,17 +91,17 @@ def tune(
     chosen = models.chosen_options(model, options or {})
     start = None if start_from is None else finetune.load(start_from, model)
     origin, bits = None if start is None else start.origin, precision_of(fabric)
-    tasks = []  # all are checked before the first is trained
+    tasks, lengths = [], []  # all are checked before the first is trained
     for changes in tries:
         recipe = recipes.override(own, changes)
         variant = describe_changes(recipes.changes(own, changes), chosen, origin, bits)
         task = make_task(model, train_set, followed, recipe, seed, chosen, variant, start)
-        milestones.plan(followed, recipe, goal, len(task.train_rows))
+        lengths.append(milestones.plan(followed, recipe, goal, len(task.train_rows)).clouds_seen)
         tasks.append(task)
     _require_validation(tasks[0])
     dry_run.try_out(make_task(model, train_set, followed, own, seed, chosen, "", start), fabric)
     trials = []
-    for changes, task in zip(tries, tasks, strict=True):
+    for changes, task, length in zip(tries, tasks, lengths, strict=True):
         folder, tried = runs_folder / run_folder(task), pairs_text(changes)
         log.info("trying %s in %s", tried or "the recipe as it is", folder)
         try:
@@ -109,7 +109,7 @@ def tune(
                 summary = train(task, fabric, folder, goal, should_stop=should_stop).summary
         except DivergedError as error:
             log.warning("%s; recorded as diverged", error)
-            summary = {"clouds_seen": 0, "train_loss": None, "validation_accuracy": None}
+            summary = {"clouds_seen": length, "train_loss": None, "validation_accuracy": None}
         trial = Trial(
             model, describe_changes({}, chosen, origin, bits), tried, seed, train_set.digest,
             followed.digest, summary["clouds_seen"], summary["train_loss"],
@@ -132,8 +132,8 @@ def _require_validation(task: Task) -> None:
         return
     data, fraction = task.dataset, task.protocol.validation_fraction
     objects = [
-        f"{name} {len(np.unique(data.object_ids[data.labels == label]))}"
-        for label, name in enumerate(data.class_names)
+        f"{data.class_names[label]} {len(np.unique(data.object_ids[data.labels == label]))}"
+        for label in np.unique(data.labels)
     ]
     shown = ", ".join(objects[:8]) + (f" and {len(objects) - 8} more classes" * (len(objects) > 8))
     raise InputError(

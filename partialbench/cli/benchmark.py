@@ -13,13 +13,14 @@ from rich.table import Table
 
 from partialbench import arguments, registry
 from partialbench.benchmark import preflight
+from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, print_result, stderr, stdout
 from partialbench.errors import InputError, PartialbenchError
 
 if TYPE_CHECKING:
     from partialbench.benchmark.predict import Answer
 
-commands = typer.Typer()
+commands = Verbs("Models")
 
 HOW_MUCH = "a minute; the table's, one recipe for all; the paper's scale, published recipes"
 CLOUDS = "clouds to train to: 100k, or several: 25k,100k (repeatable)"
@@ -29,6 +30,11 @@ class Preset(StrEnum):
     smoke = "smoke"
     board = "board"
     paper = "paper"
+
+
+class Log(StrEnum):
+    csv = "csv"
+    tensorboard = "tensorboard"
 
 
 @commands.command()
@@ -83,6 +89,9 @@ def evaluate(
         bool,
         typer.Option(help="train from the seed again; without it, what was begun is gone on with"),
     ] = False,
+    log: Annotated[
+        Log, typer.Option(help="csv, written at the end; or event files for TensorBoard too")
+    ] = Log.csv,
     checkpoint_every: Annotated[
         int | None, typer.Option(help="save every so many steps too, not only every few minutes")
     ] = None,
@@ -127,15 +136,15 @@ def evaluate(
         checkpoints=[path for path in (checkpoint, start_from) if path is not None],
         device=device, precision=precision,
     )  # fmt: skip
+    from partialbench.benchmark.evaluation import evaluate as run
     from partialbench.benchmark.protocol import milestones
-    from partialbench.benchmark.run import run_eval
 
     with continued_by("the same command"):
-        done = run_eval(
-            model, data, test_data, checkpoint, preset.value, seeds, device, results,
-            clouds=_clouds(clouds), restart=restart, first_seed=first_seed,
-            start_from=start_from, precision=precision,
-            checkpoint_every=checkpoint_every, test_points=test_points or (),
+        done = run(
+            model, data, results=results, test_data=test_data, checkpoint_file=checkpoint,
+            preset=preset.value, seeds=seeds, device=device, clouds=_clouds(clouds),
+            restart=restart, first_seed=first_seed, start_from=start_from, precision=precision,
+            log_to=log.value, checkpoint_every=checkpoint_every, test_points=test_points or (),
             test_poses=test_pose or (), test_damages=test_damage or (), grid=grid,
             recipe=arguments.pairs(recipe),
             options=arguments.texts(option), protocol=arguments.pairs(protocol),

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
+import sys
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from partialbench import registry
 from partialbench.benchmark import preflight
+from partialbench.cli.verbs import Verbs
 from partialbench.console import continued_by, stderr
 from partialbench.progress import counting_bar
 
-commands = typer.Typer()
+commands = Verbs("Tables")
 
 
 @commands.command(epilog="Example: `partialbench leaderboard --results results --out board`")
@@ -33,9 +35,11 @@ def leaderboard(
 ) -> None:
     """Make page and tables anew from the records."""
     preflight.check_output(out, "--out")
-    page, *_ = registry.load(registry.LEADERBOARD)(
-        results, out, check, tuple(data or ()), figures, counting_bar(stderr, "leaderboard")
-    )
+    from partialbench.benchmark.board import leaderboard as make
+
+    bar = counting_bar(stderr, "leaderboard")
+    board = make(results, check=check, data=tuple(data or ()), figures=figures, on_progress=bar)
+    page, *_ = board.save(out)
     print(page)
 
 
@@ -47,8 +51,11 @@ def quickstart(
         typer.Option(help="which model to train (repeat for more) [pointnet, papnet-steered]"),
     ] = None,
     workers: Annotated[int, typer.Option(help="processes; 0: one per core")] = 0,
+    open_page: Annotated[
+        bool, typer.Option("--open/--no-open", help="open the page at the end, on a display")
+    ] = True,
 ) -> None:
-    """The whole job, small: render built-in shapes, train, test, table, gallery. Minutes."""
+    """The whole job, small: render built-in shapes, train, test, gallery, page. Minutes."""
     chosen = model or ["pointnet", "papnet-steered"]
     for name in chosen:  # before anything is rendered
         preflight.check_model(name)
@@ -56,4 +63,16 @@ def quickstart(
     from partialbench.quickstart import quickstart as run
 
     with continued_by("the same command"):
-        print(run(out, chosen, workers or os.cpu_count() or 1, stderr))
+        text, page = run(out, chosen, workers or os.cpu_count() or 1, stderr)
+    print(text)
+    if open_page and has_display():
+        webbrowser.open(page.resolve().as_uri())
+
+
+def has_display() -> bool:
+    """Whether a window can be seen by whoever runs this: not on a server, in CI or in a pipe."""
+    if not sys.stdout.isatty() or os.environ.get("CI"):
+        return False
+    if sys.platform in ("win32", "darwin"):
+        return "SSH_CONNECTION" not in os.environ
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -8,11 +8,12 @@ from typing import Annotated
 
 import typer
 
+from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, print_result, stderr
 
-commands = typer.Typer()
-campaign = typer.Typer(help="Every run of a board from one file: what is done, what is missing.")
-commands.add_typer(campaign, name="campaign")
+commands = Verbs("Tables")
+campaign = Verbs(help="Every run of a board from one file: what is done, what is missing.")
+commands.add_typer(campaign, name="campaign", rich_help_panel="Tables")
 
 File = Annotated[Path, typer.Argument(help="a campaign file (.toml)")]
 

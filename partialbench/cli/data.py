@@ -5,19 +5,20 @@ from __future__ import annotations
 import inspect
 import os
 from collections import Counter
-from concurrent.futures import Executor
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from partialbench import arguments, registry
+from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, given, print_result, stderr
 from partialbench.dataset.settings import SETTINGS
 from partialbench.errors import InputError, PartialbenchError
 
-commands = typer.Typer()
+commands = Verbs("Data")
 
 
 class DataSet(StrEnum):
@@ -156,8 +157,9 @@ def render(
 ) -> None:
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
     from partialbench.dataset import grid as grids
-    from partialbench.dataset.render import plan_render
-    from partialbench.progress import counting_bar
+    from partialbench.dataset.executors import process_pool
+    from partialbench.dataset.render import render_dataset
+    from partialbench.progress import build_bar, counting_bar
 
     workers = workers or os.cpu_count() or 1
     made, listed = counting_bar(stderr, "simulate rooms"), counting_bar(stderr, "read scans")
@@ -175,39 +177,43 @@ def render(
     for folder, its_setting, its_sensor, its_occluders in chosen or [
         (out, setting.value, sensor, occluders)
     ]:
-        plan = plan_render(
-            data_set.value,
-            folder,
-            source=source,
-            source_options=given(
-                aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
-                scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
-                split_file=split_file or None, label_map=label_map, labels=labels,
-                rules=arguments.pairs(rule) or None,
-            ),
-            occluder_options=_of_setting(
-                its_setting, bool(cells), resolution=resolution,
-                camera=camera and arguments.camera(camera), variant=variant,
-                occluders=its_occluders or None, keep_depth=keep_depth or None, radius=radius,
-                gamma=gamma,
-            ),
-            sensor=None if cells and its_sensor == "ideal" else its_sensor,
-            workers=workers,
-            on_room=made,
-            on_scene=listed,
-            setting=its_setting,
-            views=views,
-            splits=tuple(split) if split else ("test",) if cells else None,
-            objects_per_class=objects_per_class,
-            points=points,
-            min_visible=min_visible,
-            normals=normals,
-            seed=seed,
-            rows_per_shard=rows_per_shard,
-        )  # fmt: skip
-        if listing := getattr(plan.job.source, "listing", ""):
-            stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
-        manifest = _build(plan, workers, scheduler, retry_failed)
+        with continued_by("the same command"), build_bar(stderr) as on_progress:
+            manifest = render_dataset(
+                source,
+                folder,
+                data_set=data_set.value,
+                source_options=given(
+                    aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
+                    scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
+                    split_file=split_file or None, label_map=label_map, labels=labels,
+                    rules=arguments.pairs(rule) or None,
+                ),
+                occluder_options=_of_setting(
+                    its_setting, bool(cells), resolution=resolution,
+                    camera=camera and arguments.camera(camera), variant=variant,
+                    occluders=its_occluders or None, keep_depth=keep_depth or None, radius=radius,
+                    gamma=gamma,
+                ),
+                sensor=None if cells and its_sensor == "ideal" else its_sensor,
+                workers=workers,
+                scheduler=scheduler,
+                # One worker too is a process of its own: a crash in it ends no run.
+                make_executor=partial(process_pool, workers),
+                on_room=made,
+                on_scene=listed,
+                on_listing=_say_source,
+                on_progress=on_progress,
+                setting=its_setting,
+                views=views,
+                splits=tuple(split) if split else ("test",) if cells else None,
+                objects_per_class=objects_per_class,
+                points=points,
+                min_visible=min_visible,
+                normals=normals,
+                seed=seed,
+                rows_per_shard=rows_per_shard,
+                retry_failed=retry_failed,
+            )  # fmt: skip
         _tell(folder, manifest, as_json)
         if any(f["kind"] == "failed" for f in manifest.failures):
             broken.append((folder, manifest))
@@ -257,27 +263,13 @@ def _then(manifest: Any) -> str:
     return new if unlisted else "run the same command with --retry-failed"
 
 
-def _build(plan: Any, workers: int, scheduler: str | None, retry_failed: bool) -> Any:
-    """Run a plan with a progress bar on stderr."""
-    from partialbench.dataset.build import build
-    from partialbench.dataset.executors import dask_cluster, process_pool
-    from partialbench.progress import build_bar
-
-    if scheduler:
-        cluster = dask_cluster(scheduler)
-        workers = cluster.workers
-        cluster.shutdown()
-
-    def make_executor() -> Executor:
-        return dask_cluster(scheduler) if scheduler else process_pool(workers)
-
-    with continued_by("the same command"), build_bar(stderr) as on_progress:
-        return build(plan, make_executor, workers, on_progress, retry_failed)
+def _say_source(listing: str) -> None:
+    stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
 
 
 @commands.command(epilog="Example: `partialbench verify data/pm40 --source ModelNet40.zip`")
 def verify(
-    folder: Annotated[Path, typer.Argument(help="a data folder")],
+    folder: Annotated[Path, typer.Argument(help="a data folder, or an export of one")],
     source: Annotated[
         str | None, typer.Option(help="what it was made from, to check points against surfaces")
     ] = None,
@@ -286,9 +278,19 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Check digests, schema, values, poses, and that points lie on the source's surface."""
+    from partialbench.dataset.export import check_export, is_export
     from partialbench.dataset.render import source_of
     from partialbench.dataset.verify import verify as check
 
+    if is_export(folder):
+        problems = check_export(folder)
+        words = [*(f"problem: {p}" for p in problems),
+                 f"{folder} is {'NOT sound' if problems else 'sound'}: an export"]  # fmt: skip
+        print_result({"folder": str(folder), "sound": not problems, "problems": problems},
+                     as_json, "\n".join(words))  # fmt: skip
+        if problems:
+            raise typer.Exit(1)
+        return
     options = given(scannet=scannet, scan2cad=scan2cad)
     opened, missing = source_of(folder, "scannet" if options else source, options)
     report = check(folder, opened, no_source=missing)
@@ -297,7 +299,7 @@ def verify(
         facts.append(f"points within {report.surface['max']:.1e} of the surface")
     summary = ", ".join(facts)
     for note in report.notes:
-        stderr.print(f"note: {note}")
+        stderr.print(f"note: {note}", markup=False, soft_wrap=True)
     print_result(
         {"folder": str(folder), "sound": report.sound, "problems": report.problems,
          "rows": report.rows, "surface": report.surface},
@@ -368,7 +370,7 @@ def import_release(
         raise PartialbenchError(f"--data-set does not apply to {release}: it is one data set")
     manifest = entry(folder, out, **told)
     if manifest.listing:
-        stderr.print(f"source: {manifest.listing}", markup=False, soft_wrap=True)
+        _say_source(manifest.listing)
     rows = {split: manifest.rows(split) for split in manifest.splits()}
     failed = sum(f["kind"] == "failed" for f in manifest.failures)
     print_result({"folder": str(out), "rows": rows, "failed": failed}, as_json,

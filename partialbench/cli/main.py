@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import logging
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.logging import RichHandler
 
-from partialbench import __version__, user_code
-from partialbench.cli import benchmark, board, campaign, data
+from partialbench import __version__, extras, user_code
+from partialbench.cli import benchmark, board, campaign, data, share
 from partialbench.console import prepare_streams, quiet_libraries, stderr
 from partialbench.errors import PartialbenchError
 from partialbench.search_path import current_folder_last
@@ -24,11 +24,11 @@ app = typer.Typer(
     help="Pose-labelled single-view partial point clouds, and a benchmark of classifiers on them.",
     epilog="Start with: partialbench quickstart",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-for stage in (data, benchmark, campaign, board):
+for stage in (data, benchmark, campaign, board, share):
     app.add_typer(stage.commands)
 
 
@@ -57,11 +57,31 @@ def main() -> None:
     current_folder_last()
     user_code.ours_first()
     try:
-        app()
+        # Without a terminal a wrong usage is one line, not a frame around three.
+        sys.exit(app(standalone_mode=sys.stderr.isatty()))
     except PartialbenchError as error:
         logging.getLogger(__name__).info("", exc_info=error)
-        stderr.print(f"[bold red]error:[/] {_escaped(str(error))}")
-        sys.exit(error.exit_status)
+        _fail(str(error), error.exit_status)
+    except ModuleNotFoundError as error:
+        if (missing := extras.explained(error)) is None:
+            raise
+        _fail(str(missing), missing.exit_status)
+    except Exception as error:
+        # Typer's own, of wrong usage: of whichever of the modules that its versions have them in.
+        if not hasattr(error, "format_message"):
+            raise
+        if type(error).__name__ == "NoArgsIsHelpError":
+            error.show()  # type: ignore[attr-defined]
+            sys.exit(2)
+        context = getattr(error, "ctx", None)
+        where = f"; see '{context.command_path} --help'" if context else ""
+        _fail(f"{error.format_message().rstrip('.')}{where}", getattr(error, "exit_code", 2))
+
+
+def _fail(message: str, status: int) -> NoReturn:
+    # A message in a file is not folded to a terminal's width.
+    stderr.print(f"[bold red]error:[/] {_escaped(message)}", soft_wrap=not stderr.is_terminal)
+    sys.exit(status)
 
 
 def _escaped(text: str) -> str:

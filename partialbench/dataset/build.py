@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from partialbench.dataset import croissant
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset import objects as tables
 from partialbench.dataset.card import write_card
@@ -366,5 +367,7 @@ def _finish(out: Path, manifest: Manifest) -> None:
             if entry.split == split and entry.rows
         )
     manifest.state = "complete"
+    files = croissant.shard_files(manifest)
+    write_atomically(out / croissant.NAME, croissant.text(manifest, files).encode())
     manifest.card_sha256 = manifests.bytes_sha256(write_card(out, manifest))
     manifest.save(out)

@@ -160,7 +160,9 @@ def load(folder: Path) -> Manifest:
         names = [k for k in Manifest.__dataclass_fields__ if k in data or k not in _LATER]
         fields = {k: data[k] for k in names if k != "shards"}
         manifest = Manifest(**fields, shards=[ShardEntry(**entry) for entry in data["shards"]])
-    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path} is damaged ({type(error).__name__}: {error})") from error
     if manifest.configuration_digest != recorded:
         raise InputError(

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from concurrent.futures import Executor
+from functools import partial
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from partialbench import registry
 from partialbench.dataset import manifest as manifests
-from partialbench.dataset.build import BuildPlan
+from partialbench.dataset.build import BuildPlan, Progress, build
+from partialbench.dataset.executors import InlineExecutor, dask_cluster, process_pool
+from partialbench.dataset.manifest import Manifest
 from partialbench.dataset.rows import LEAST_VISIBLE, Job
 from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.sources import Occluder, Source
 from partialbench.errors import InputError
+from partialbench.extras import MissingExtraError
 
 DEFAULT_SOURCE = {"pm40": "parametric", "ps15": "rooms"}
 # The paper: ten views of every training object, one of every test object.
@@ -118,6 +124,60 @@ def plan_render(
     )
 
 
+def render_dataset(
+    source: str | PathLike[str] | None,
+    out: Path | str,
+    *,
+    data_set: str = "pm40",
+    workers: int = 1,
+    scheduler: str | None = None,
+    make_executor: Callable[[], Executor] | None = None,
+    on_listing: Callable[[str], None] | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    retry_failed: bool = False,
+    **options: Any,
+) -> Manifest:
+    """Make a data folder, or continue it where it stopped: ``partialbench render``.
+
+    Args:
+        source: a name or a path, see ``plan_render``; None for the built-in one.
+        out: the data folder.
+        workers: processes; one is this process itself. (With more, a script needs the usual
+            ``if __name__ == "__main__":``.)
+        scheduler: address of a Dask cluster to run on ("tcp://host:8786").
+        make_executor: opens another executor to run on.
+        on_listing: told in words how the source's files were understood.
+        on_progress: called after every object.
+        retry_failed: see ``build``.
+        options: those of ``plan_render`` (``views``, ``points``, ``sensor``, …).
+
+    Returns:
+        The manifest of the complete folder. Inputs that could not be used do not raise: they are in
+        ``manifest.failures`` and failures.jsonl.
+
+    Raises:
+        InputError: see ``plan_render`` and ``build``; nothing is made then.
+        PartialbenchError: the folder holds other data, is in use, or cannot be written.
+
+    ::
+
+        manifest = partialbench.render_dataset("meshes/", "data/mine", views=4, workers=8)
+        manifest.rows("train"), manifest.failures
+    """
+    place = None if source is None else str(source)
+    plan = plan_render(data_set, Path(out), source=place, workers=workers, **options)
+    if on_listing and (words := getattr(plan.job.source, "listing", "")):
+        on_listing(words)
+    if scheduler is not None:
+        cluster = dask_cluster(scheduler)
+        workers = cluster.workers
+        cluster.shutdown()
+        make_executor = partial(dask_cluster, scheduler)
+    elif make_executor is None:
+        make_executor = InlineExecutor if workers == 1 else partial(process_pool, workers)
+    return build(plan, make_executor, workers, on_progress, retry_failed)
+
+
 def _make_occluder(name: str, options: dict[str, Any]) -> Occluder:
     factory = registry.load(registry.occluder_entry(name))
     known = inspect.signature(factory).parameters
@@ -149,10 +209,10 @@ def source_of(
     if name_or_path is None and recorded["name"] != "parametric":
         return None, "no source given (use --source)"
     if name_or_path in (None, "parametric") and recorded["name"] == "parametric":
-        cls = registry.load(registry.SOURCES["parametric"])
         try:
+            cls = registry.load(registry.SOURCES["parametric"])
             return cls.from_description(recorded), ""
-        except InputError as error:
+        except (InputError, MissingExtraError) as error:
             return None, str(error)
     opened = registry.load(registry.OPEN_SOURCE)(
         name_or_path, described=recorded, **(options or {})

@@ -103,6 +103,8 @@ def _png(data: ShardDataset, rows: NDArray[np.int64]) -> bytes:
 
 def _draw(axes: Axes, scene: Scene) -> None:
     """The scene from the side; the nearer the brighter, as on the page."""
+    from matplotlib.colors import to_rgba
+
     for cloud, size, colour, alpha in (
         (scene.whole, 1.5, "#55606c", 0.45), (scene.points, 3.0, "#1f5fa8", 1.0),
     ):  # fmt: skip
@@ -111,7 +113,8 @@ def _draw(axes: Axes, scene: Scene) -> None:
         placed = projected(cloud)
         far_first = placed[np.argsort(-placed[:, 2])]
         nearness = alpha * (0.75 - 0.25 * far_first[:, 2].clip(-1, 1))
-        axes.scatter(*far_first[:, :2].T, s=size, c=colour, alpha=nearness, lw=0)
+        colours = [to_rgba(colour, float(near)) for near in nearness]
+        axes.scatter(far_first[:, 0], far_first[:, 1], s=size, c=colours, lw=0)
     for direction, colour in zip(scene.axes, AXIS_COLOURS.values(), strict=True):
         tip = projected(0.8 * direction)
         axes.plot([0, tip[0]], [0, tip[1]], color=colour, lw=1.6)
@@ -139,13 +142,18 @@ def _depth_image(data: ShardDataset, row: int) -> NDArray[np.float64]:
 
     Where the folder has no depth images it is made of the row's points, coarser.
     """
-    from matplotlib import colormaps
-
     if data.has_depth:
         depth = data.depth([row])[0].astype(float)
         depth = depth[:: -(-depth.shape[0] // IMAGE), :: -(-depth.shape[1] // IMAGE)]
     else:
         depth = splat(data.points([row])[0], data.translations[row])
+    return coloured(depth)
+
+
+def coloured(depth: NDArray) -> NDArray[np.float64]:
+    """A depth image (H,W) as (H,W,4) colours in [0, 1], near bright, nothing where it is 0."""
+    from matplotlib import colormaps
+
     surface = depth > 0
     near, far = (depth[surface].min(), depth[surface].max()) if surface.any() else (0.0, 1.0)
     colours: NDArray[np.float64] = colormaps["viridis"]((far - depth) / max(far - near, 1e-9))
@@ -181,25 +189,34 @@ def _title(data: ShardDataset, row: int, after_class: str) -> str:
 
 
 def _page(data: ShardDataset, rows: NDArray[np.int64]) -> bytes:
-    samples = [
-        {
-            "title": _title(data, row, " · "),
-            "depth": _data_url(_depth_image(data, row)),
-            "points": packed(scene.points),
-            "whole": packed(scene.whole),
-            "axes": np.round(scene.axes, 3).tolist(),
-            "camera": np.round(scene.camera, 3).tolist(),
-        }
+    return page_of(_heading(data), samples_of(data, rows)).encode()
+
+
+def samples_of(data: ShardDataset, rows: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """Rows as ``page_of`` takes them."""
+    return [
+        sample(_title(data, row, " · "), _depth_image(data, row), scene)
         for row, scene in zip(rows, scenes(data, rows.tolist(), WHOLE_POINTS), strict=True)
     ]
-    return page_of(_heading(data), samples).encode()
+
+
+def sample(title: str, colours: NDArray, scene: Scene) -> dict[str, Any]:
+    """One sample of a page: its depth image as colours (H,W,4), and its scene."""
+    return {
+        "title": title,
+        "depth": _data_url(colours),
+        "points": packed(scene.points),
+        "whole": packed(scene.whole),
+        "axes": np.round(scene.axes, 3).tolist(),
+        "camera": np.round(scene.camera, 3).tolist(),
+    }
 
 
 def _data_url(colours: NDArray) -> str:
     from matplotlib import image
 
     buffer = io.BytesIO()
-    image.imsave(buffer, colours, format="png", metadata={"Software": None})
+    image.imsave(buffer, colours, format="png")
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 

@@ -138,6 +138,8 @@ def _papers_problems(folder: Path, manifest: Manifest) -> list[str]:
         problems.append(f"{manifests.FAILURES} is missing")
     elif path.read_bytes() != manifest.failures_text().encode():
         problems.append(f"{manifests.FAILURES} does not say what {manifests.NAME} recorded")
+    if manifest.state == "complete" and not manifest.card_sha256 and manifest.format_version > 1:
+        problems.append(f"{manifests.NAME} has no digest of {CARD}")
     if manifest.card_sha256:
         path = folder / CARD
         if not path.is_file():
@@ -204,6 +206,8 @@ def _read_and_check(
             "its bytes do not hash to the SHA-256 in the manifest: damaged or edited; delete it "
             "and run the render command again, only it is made anew"
         )
+    if path.stat().st_size != entry.bytes:
+        problem(f"has {path.stat().st_size} bytes, the manifest says {entry.bytes}")
     try:
         with open_shard(path) as file:
             # Before anything is read: a field may be said to be larger than any memory.
@@ -220,6 +224,7 @@ def _read_and_check(
                 problem("does not say which configuration it was made with")
                 return None
             recorded = file.attrs["configuration_digest"]
+            place = str(file.attrs.get("split", "")), int(file.attrs.get("index", -1))
             listed = set(file["objects/object_id"][()]) if "objects" in file else None
             version = file.attrs["format_version"]
     except (
@@ -235,6 +240,8 @@ def _read_and_check(
         return None
     if recorded != manifest.configuration_digest:
         problem("made with another configuration than the manifest's")
+    if place != (entry.split, entry.index):
+        problem(f"was made as {place}, the manifest has it as {(entry.split, entry.index)}")
     if version != manifest.format_version:
         problem(f"has format {version}, the manifest says {manifest.format_version}")
     elif manifest.format_version == 1:

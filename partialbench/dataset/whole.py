@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from partialbench.dataset.objects import stored_id
 from partialbench.dataset.render import source_of
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.sources import OrientedCloud
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 def whole_objects(
@@ -38,7 +41,9 @@ def _sample(
     shape: trimesh.Trimesh | NDArray | OrientedCloud, points: int, name: str
 ) -> NDArray[np.float32]:
     rng = generator(0, "whole", name)
-    if isinstance(shape, trimesh.Trimesh):
+    if hasattr(shape, "faces"):  # a mesh
+        import trimesh  # not by who has no meshes, nor the extra that brings it
+
         found, _ = trimesh.sample.sample_surface(shape, points, seed=int(rng.integers(2**31)))
         return np.asarray(found, np.float32)
     cloud = shape.points if isinstance(shape, OrientedCloud) else shape

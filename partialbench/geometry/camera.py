@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from partialbench.errors import InputError
 from partialbench.geometry.rotations import haar_rotations
 
 # Paper, section 5.1: t_x, t_y ~ U(−2, 2), t_z ~ U(2, 5) for an object in the unit ball.
@@ -124,3 +125,50 @@ def sample_pose(rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[
     unit ball would reach the camera plane cannot occur: t_z ≥ 2.
     """
     return haar_rotations(rng, 1)[0], rng.uniform(TRANSLATION_LOW, TRANSLATION_HIGH)
+
+
+def look_at(
+    eye: ArrayLike, target: ArrayLike = (0.0, 0.0, 0.0), up: ArrayLike = (0.0, 0.0, 1.0)
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The pose of an object seen by a camera at ``eye`` that looks at ``target``, upright.
+
+    Args:
+        eye: (3,) where the camera is, in the object's frame.
+        target: (3,) what it looks at, in the same.
+        up: (3,), what the picture has upwards (its −y), in the object's frame.
+
+    Returns:
+        (R_camera_object (3,3), t_camera_object (3,)) float64: p_camera = R·p_object + t. The target
+        is on the optical axis, at (0, 0, distance).
+
+    Raises:
+        InputError: not three finite numbers each, eye and target at one place, or ``up`` along the
+            line of sight.
+
+    >>> R, t = look_at(eye=(3, 0, 0))
+    >>> t.tolist()
+    [0.0, 0.0, 3.0]
+    >>> (R @ (0, 0, 1)).tolist()  # the object's z appears upwards
+    [0.0, -1.0, 0.0]
+    """
+    given = {"eye": eye, "target": target, "up": up}
+    vectors = {}
+    for name, value in given.items():
+        vectors[name] = np.asarray(value, np.float64)
+        if vectors[name].shape != (3,) or not np.isfinite(vectors[name]).all():
+            raise InputError(f"look_at: {name} must be three finite numbers, got {value!r}")
+    forward = vectors["target"] - vectors["eye"]
+    distance = np.linalg.norm(forward)
+    if distance == 0:
+        raise InputError(f"look_at: eye and target are both at {vectors['eye'].tolist()}")
+    forward /= distance
+    right = np.cross(forward, vectors["up"])
+    length = np.linalg.norm(right)
+    if length <= 1e-9 * np.linalg.norm(vectors["up"]) or length == 0:
+        raise InputError(
+            f"look_at: up {vectors['up'].tolist()} lies along the line of sight; give another up"
+        )
+    right /= length
+    # Without this a pose along an axis has entries of −0.
+    R = np.stack([right, np.cross(forward, right), forward]) + 0.0
+    return R, -R @ vectors["eye"] + 0.0

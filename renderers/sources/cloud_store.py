@@ -81,14 +81,18 @@ def whole_labels(
     Raises:
         InputError: another shape or dtype, a value that is no whole number or has no class.
     """
-    data = dataset(group, name, where)
+    return as_labels(np.asarray(dataset(group, name, where)[()]), name, classes, where)
+
+
+def as_labels(data: NDArray, name: str, classes: int | None, where: str) -> NDArray[np.int64]:
+    """As ``whole_labels``, of an array that is already there."""
     if data.ndim not in (1, 2) or (data.ndim == 2 and data.shape[1] != 1):
         raise InputError(
             f"{where}: {name} has shape {data.shape}, expected (M,): one whole number an object"
         )
     if data.dtype.kind not in "iuf":
         raise InputError(f"{where}: {name} is {data.dtype}, expected whole numbers")
-    values = data[()].reshape(-1)
+    values = np.asarray(data).reshape(-1)
     good = np.isfinite(values) & (values == np.floor(values)) & (values >= 0)
     if not good.all():
         row = int((~good).argmax())

@@ -16,14 +16,14 @@ from partialbench.benchmark import preflight
 from partialbench.benchmark.fabric import make_fabric
 from partialbench.benchmark.protocol.split import split_by_object
 from partialbench.benchmark.records.trials import FILE, read_trials
-from partialbench.benchmark.run import run_eval
+from partialbench.benchmark.run import _say_odd_classes, run_eval
 from partialbench.benchmark.training import seeds
 from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.tune import tune
 from partialbench.dataset.lock import NAME, InUseError
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
-from tests.benchmark.memory_clouds import data_folder
+from tests.benchmark.memory_clouds import MemoryClouds, data_folder
 from tests.benchmark.tiny_models import MODELS, SMALL, NoNorm
 
 HERE = __name__
@@ -225,9 +225,10 @@ def test_a_diverged_trial_is_recorded_and_the_rest_goes_on(data, tmp_path):
     for _ in range(2):
         found = tune(
             f"{MODELS}:NoNorm", data, tries, "smoke", device="cpu", results_folder=tmp_path,
-            protocol={"num_points": 32, "epochs": 4, "max_train_clouds": None},
+            clouds=480, protocol={"num_points": 32, "max_train_clouds": None},
         )  # fmt: skip
         assert [trial.recipe for trial in found][-1] == "lr=1e+30"
+        assert len({trial.clouds_seen for trial in found}) == 1  # of a diverged one, its goal
         assert [trial.diverged for trial in found] == [False, False, True]
         assert sorted(read_trials(tmp_path / FILE), key=repr) == sorted(found, key=repr)
 
@@ -238,6 +239,23 @@ def test_nothing_to_validate_on_is_an_error_at_the_start(tmp_path):
         tune(f"{MODELS}:NoNorm", few, [{}], "smoke", device="cpu", results_folder=tmp_path / "r",
              protocol={"num_points": 32})  # fmt: skip
     assert not (tmp_path / "r").exists()
+
+
+def test_a_class_that_only_one_split_has_is_told(tmp_path, caplog):
+    """Nothing is wrong with such a table but that nobody can name these rightly."""
+    classes = ("bottle", "chair", "lamp")
+    train, test = MemoryClouds(classes=classes), MemoryClouds(classes=classes)
+    train.folder, train.labels = "toy", np.minimum(train.labels, 1)
+    test.labels = np.maximum(test.labels, 1)
+    _say_odd_classes(train, test)
+    assert [record.getMessage() for record in caplog.records] == [
+        "toy: of lamp there are test objects but no training object: no model can name them "
+        "rightly",
+        "toy: of bottle there are training objects but no test object",
+    ]
+    caplog.clear()
+    _say_odd_classes(test, test)
+    assert caplog.records == []
 
 
 def test_several_processes_look_for_what_the_loss_does_not_reach(monkeypatch):

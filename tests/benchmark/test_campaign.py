@@ -18,6 +18,7 @@ from partialbench.benchmark.campaign.file import load
 from partialbench.benchmark.campaign.jobs import FAILURES, all_jobs, from_dict
 from partialbench.benchmark.campaign.status import status
 from partialbench.benchmark.records import results
+from partialbench.benchmark.records.trials import FILE, read_trials
 from partialbench.benchmark.training.train import DivergedError
 from partialbench.dataset.lock import sole_user
 from partialbench.errors import InputError, PartialbenchError, TimeLimitError
@@ -147,6 +148,17 @@ def test_data_that_cannot_be_rendered_cost_their_own_jobs_alone(campaign, in_thi
         running.run(load(campaign.path), jobs=1)
     assert ("train", "Posed", 64) not in in_this_process  # tested on it
     assert len(in_this_process) == 4
+
+
+def test_a_trial_that_diverges_is_done(campaign, in_this_process):
+    text = campaign.path.read_text().replace("{lr = 0.01}", "{lr = 0.01}, {lr = 1e30}")
+    campaign.path.write_text(text.replace("Bare\"\ndata = \"toy\"\nclouds = 64",
+                                          "Bare\"\ndata = \"toy\"\nclouds = 640"))  # fmt: skip
+    after = running.run(load(campaign.path), jobs=1, only=["*Bare"])
+    assert [job.recipe for job in after.done if job.kind == "tune"] == [
+        '{"lr": 0.01}', '{"lr": 1e+30}'
+    ]  # fmt: skip
+    assert sorted(trial.diverged for trial in read_trials(campaign.results / FILE)) == [False, True]
 
 
 def test_time_that_is_over_ends_it_with_75_and_keeps_what_is_done(campaign, in_this_process):

@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 
 from partialbench.benchmark.campaign.file import load
 from partialbench.benchmark.campaign.jobs import Condition, Ledger, all_jobs, from_dict
+from partialbench.benchmark.campaign.run import run
 from partialbench.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -104,8 +107,18 @@ def test_an_entry_may_change_the_protocol_and_is_then_another_training(tmp_path)
         ('"100"', '"many"', "many"),
         ('render = "pm40 --counts 2,1 --views 1"', 'rendr = "x"', "has no field 'rendr'"),
         ("--views 1", "--views 1 --out x", "must not say --out"),
-        ("points = 64", "protocol = {strech = 2}", "line 18: .* no field 'strech'; did you mean st"),
+        (
+            "points = 64",
+            "protocol = {strech = 2}",
+            "line 18: .* no field 'strech'; did you mean",
+        ),
         ("points = 64", "protocol = {stretch = 0.5}", "stretch must be 1 .none. or more, got 0.5"),
+        ("--views 1", "--views '1", "line 7: render of .data.shapes.: No closing quotation"),
+        ("tries = [{lr = 0.001}, {lr = 0.002}]", 'tries = "lr"', "tries must be a list of tables"),
+        ("points = 64", "points = 0", "line 18: points must be 1 or more, got 0"),
+        ("points = 64", 'precision = "64-true"', "line 18: precision '64-true' is not trained in"),
+        ("points = 64", 'poses = ["up"]', "a test pose is 'random' or the half width"),
+        ('"dgcnn"', '"./none.py:make"', "line 13: no file at none.py"),
         ("[[tune]]", "[[tune]", "is not TOML: .*line 20"),
     ],
 )
@@ -113,6 +126,40 @@ def test_what_is_wrong_is_said_with_its_line(tmp_path, old, new, message):
     assert old in SMALL
     with pytest.raises(InputError, match=message):
         load(written(tmp_path, SMALL.replace(old, new, 1)))
+
+
+def test_what_records_write_otherwise_is_one_job(tmp_path, monkeypatch):
+    """Else it would be looked for under one name and recorded under another."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my-net.py").write_text("")
+    text = SMALL.replace('"dgcnn"', '"./my-net.py:make"').replace(
+        "points = 64", 'precision = "bf16"\nposes = [0.0, "0", 15, "random"]'
+    )
+    (entry, _) = load(written(tmp_path, text)).entries
+    assert entry.models == ("pointnet", "my-net.py:make")
+    assert entry.precision == "bf16-mixed"
+    assert entry.poses == ("0", "15", "random")
+
+
+def test_options_that_a_record_would_have_otherwise_are_refused_before_anything_is_made(tmp_path):
+    for options, message in (
+        ("{k = 20}", r"options of dgcnn are \{'k': 20\}; .* they are \{\}: write them so"),
+        ('{k = "5"}', "they are {'k': 5}: write them so"),
+        ("{kk = 5}", "dgcnn has no option 'kk'; did you mean k"),
+    ):
+        more = f"[[train]]\nmodels = 'dgcnn'\ndata = 'shapes'\nclouds = 50\noptions = {options}\n"
+        with pytest.raises(InputError, match=message):
+            run(load(written(tmp_path, SMALL + more)))
+    assert [path.name for path in tmp_path.iterdir()] == ["board.toml"]
+
+
+def test_a_status_loads_no_torch(tmp_path):
+    path = written(tmp_path, SMALL)
+    code = (
+        "import sys; from partialbench.benchmark.campaign import file, status; "
+        f"status.status(file.load({str(path)!r})); sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
 def test_no_file_and_no_run_are_said(tmp_path):

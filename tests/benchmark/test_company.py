@@ -33,7 +33,8 @@ def test_an_answer_that_hangs_on_batch_mates_is_found(kind):
 
 
 @pytest.mark.parametrize("objects", [1, 20])
-@pytest.mark.parametrize("kind", [Bare, odd_models.InPlace, odd_models.Counting])
+@pytest.mark.parametrize("kind", [Bare, odd_models.InPlace, odd_models.Counting,
+                                  odd_models.Remembering, odd_models.Hooked])  # fmt: skip
 def test_an_answer_of_its_own_moves_by_rounding_alone(kind, objects):
     found = company_audit(made(kind), MemoryClouds(objects=objects, views=1), 3)
     assert found["drift"] < INDEPENDENT / 100
@@ -63,9 +64,11 @@ def test_an_audited_answer_that_is_not_finite_says_where():
         company_audit(made(Alone), MemoryClouds(), 3)
 
 
-@pytest.mark.parametrize(
-    "kind", [odd_models.Drawing, odd_models.Adapting, odd_models.Counting, odd_models.WithPrior]
-)
+STATEFUL = [odd_models.Drawing, odd_models.Adapting, odd_models.Counting, odd_models.WithPrior,
+            odd_models.Remembering, odd_models.OwnGenerator, odd_models.Hooked]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", STATEFUL)
 def test_testing_twice_or_something_in_between_gives_the_same_bytes(kind):
     model, clouds = made(kind), MemoryClouds()
     rows = np.arange(len(clouds))
@@ -79,6 +82,42 @@ def test_testing_twice_or_something_in_between_gives_the_same_bytes(kind):
     evaluate.predict_rows(model, MemoryClouds(num_points=16), rows[:7], clouds.class_names)
     torch.rand(3), np.random.rand(3), random.random()  # noqa: NPY002
     assert test() == first
+
+
+@pytest.mark.parametrize("kind", [odd_models.Counting, odd_models.Remembering])
+def test_a_batch_does_not_see_the_batches_before_it(kind):
+    clouds, model = MemoryClouds(), made(kind)
+    rows = np.arange(len(clouds))
+    alone, after = (
+        torch.cat(
+            [
+                answer.class_logits
+                for _, answer in evaluate.run_model(model, clouds, rows, 3, batch_size=size)
+            ]
+        )
+        for size in (len(rows), 8)
+    )
+    assert torch.allclose(alone, after, atol=1e-5)
+
+
+def test_what_shares_an_object_goes_on_sharing_it():
+    model = made(odd_models.Hooked)
+    with unchanged(model):
+        model(torch.zeros(2, 8, 3))
+    assert model.same[0] is model.watched
+    with torch.no_grad():
+        model.watched.bias.fill_(100.0)
+    assert model(torch.zeros(2, 8, 3)).mean().item() > 90  # the hook is still this model's
+    memory = made(odd_models.Remembering)
+    with unchanged(memory):
+        memory(torch.zeros(2, 8, 3))
+    assert memory.bank is memory.writer.bank
+    assert memory.bank == []
+    buffer = made(odd_models.Adapting).centre
+    model.register_buffer("centre", buffer)
+    with unchanged(model):
+        model.centre = torch.ones(3)
+    assert model.centre is buffer
 
 
 def test_the_order_of_the_rows_is_not_that_of_the_test():

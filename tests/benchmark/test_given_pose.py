@@ -34,8 +34,16 @@ class Reads(nn.Module):
 
 @pytest.mark.parametrize(
     ("text", "name"),
-    [("0", "0"), (0, "0"), ("0.0", "0"), ("15", "15"), (7.5, "7.5"), ("random", "random"),
-     ("class:0", "class:0"), ("class:15.0", "class:15")],
+    [
+        ("0", "0"),
+        (0, "0"),
+        ("0.0", "0"),
+        ("15", "15"),
+        (7.5, "7.5"),
+        ("random", "random"),
+        ("class:0", "class:0"),
+        ("class:15.0", "class:15"),
+    ],
 )
 def test_names_of_poses(text, name):
     assert given_pose.parse(text) == name
@@ -156,7 +164,8 @@ def test_a_record_for_each_pose_beside_the_models_own(data, tmp_path):
         test_poses=["0", 15, "class:0", "random", "15"], test_points=[32], **SMALL,
     )  # fmt: skip
     assert [r.conditions for r in done] == [
-        {}, {"pose": "0"}, {"pose": "15"}, {"pose": "class:0"}, {"pose": "random"}, {"points": "32"},
+        {}, {"pose": "0"}, {"pose": "15"}, {"pose": "class:0"}, {"pose": "random"},
+        {"points": "32"},
     ]  # fmt: skip
     assert [r.given_pose for r in results.read_folder(tmp_path)].count("") == 2
     own, true, *_ = done

@@ -159,3 +159,23 @@ def test_trials_may_begin_from_weights(done, data, tmp_path):
     after = checkpoint.load(next(tmp_path.glob("runs/*/branch-*/checkpoint.pt")))["state"]
     for name in (name for name in before if name.endswith(("weight", "bias"))):
         torch.testing.assert_close(after[name], before[name], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (",0.5\n", ",1.5\n", "line 2: no trial of net:make ended so: its .* is 1.5"),
+        (",0.5\n", ",nan\n", "its validation accuracy is nan"),
+        (",0.5\n", ",\n", "of loss and accuracy one is missing"),
+        (",0.75,", ",inf,", "its loss is inf"),
+        (",64,", ",0,", "it has seen 0 clouds"),
+        (",0.5\n", ",0.5\nnet:make,,lr=1,0,d,p,64,0.25,0.875\n", "line 3: .* it comes twice"),
+    ],
+)  # fmt: skip
+def test_a_file_of_trials_that_cannot_be_is_refused(tmp_path, old, new, message):
+    add_trial(tmp_path / FILE, Trial("net:make", "", "lr=1", 0, "d", "p", 64, 0.75, 0.5))
+    text = (tmp_path / FILE).read_text()
+    assert text.count(old) == 1
+    (tmp_path / FILE).write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        read_trials(tmp_path / FILE)

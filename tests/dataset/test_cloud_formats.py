@@ -164,6 +164,15 @@ def test_damaged_lzf_is_told(packed: bytes, message: str) -> None:
         decompress(packed, 9)
 
 
+def test_a_ply_may_name_its_axes_in_capitals(rng) -> None:
+    points = rng.random((5, 3))
+    lines = [f"property double {axis}" for axis in "XYZ"]
+    header = ["ply", "format ascii 1.0", "element vertex 5", *lines, "end_header"]
+    rows = [" ".join(map(repr, row)) for row in points.tolist()]
+    content = "\n".join([*header, *rows]).encode()
+    np.testing.assert_array_equal(read_cloud(content, "a.ply"), points)
+
+
 def test_a_list_of_names_does_not_look_like_points() -> None:
     assert looks_like_points(b"x y z\n1 2 3\n")
     assert looks_like_points(b"600\n1 2 3\n")

@@ -33,6 +33,7 @@ def edit(folder, change):
     manifest = json.loads((folder / "manifest.json").read_text())
     [entry] = [entry for entry in manifest["shards"] if entry["file"] == SHARD]
     entry["sha256"] = bytes_sha256((folder / SHARD).read_bytes())
+    entry["bytes"] = (folder / SHARD).stat().st_size
     (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
@@ -123,7 +124,7 @@ def test_a_manifest_of_another_kind_is_an_error(folder, change, message):
         verify(folder)
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", "3", "null"])
+@pytest.mark.parametrize("content", ["", "{", "[]", "3", "null", "[" * 100_000, "9" * 5000])
 def test_a_manifest_that_is_none_is_an_error(folder, content):
     (folder / "manifest.json").write_text(content)
     with pytest.raises(InputError, match=r"manifest\.json is damaged"):
@@ -142,6 +143,23 @@ def test_removed_digests_are_missed(folder):
     ]
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: entry_of(m, bytes=1), f"{SHARD}: has .* bytes, the manifest says 1"),
+        (lambda m: entry_of(m, index=7), f"{SHARD}: was made as .*0., the manifest .*7"),
+        (lambda m: m.pop("card_sha256"), r"manifest\.json has no digest of CARD\.md"),
+    ],
+)
+def test_what_no_digest_covers_is_checked_too(folder, change, message):
+    path = folder / "manifest.json"
+    data = json.loads(path.read_text())
+    change(data)
+    path.write_text(json.dumps(data))
+    [problem] = verify(folder).problems
+    assert re.match(message, problem)
+
+
 def test_what_lies_beside_the_shards_is_checked(folder):
     (folder / "CARD.md").write_text("lies")
     (folder / "failures.jsonl").write_text("{}\n")
@@ -157,4 +175,4 @@ def test_what_lies_beside_the_shards_is_checked(folder):
 def test_a_source_that_lost_a_file_is_a_problem_not_an_end(folder):
     source = ToySource(broken=("dresser_0000",))
     problems = verify(folder, source).problems
-    assert any("has no source" in p and "0 faces" in p for p in problems)
+    assert any("cannot be checked" in p and "0 faces" in p for p in problems)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from leaderboard.agreement import rank_agreement
 from leaderboard.board import make_board
-from leaderboard.latex import escape
+from leaderboard.tables.agreement import rank_agreement
+from leaderboard.tables.latex import escape
 from partialbench.benchmark.records import results
 from tests.leaderboard.records import add
 

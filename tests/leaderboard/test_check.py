@@ -16,6 +16,8 @@ from leaderboard import check
 from leaderboard.build import build_leaderboard
 from leaderboard.check import problems
 from partialbench.benchmark import models
+from partialbench.benchmark.protocol.protocol import PRESETS
+from partialbench.benchmark.protocol.recipe import as_dict, of_protocol
 from partialbench.benchmark.records import cards, results, testsets
 from partialbench.benchmark.records import predictions as prediction_files
 from partialbench.benchmark.records.results import PREDICTIONS_SUFFIX, SUFFIX
@@ -32,8 +34,9 @@ def honest(folder, seed, accuracy=0.6, **other):
     stored = predictions(accuracy, seed)
     made = record(MODEL, stored, seed, **other)
     parameters = models.num_parameters(models.create(MODEL, len(CLASSES)))
+    card = models.card_of(MODEL)
     made = dataclasses.replace(
-        made, card=_card_as_dict(models.card_of(MODEL)),
+        made, card=_card_as_dict(card), recipe=as_dict(of_protocol(card, PRESETS["board"])),
         cost=made.cost | {"parameters": parameters},
     )  # fmt: skip
     return results.write(folder, made, stored)
@@ -138,7 +141,16 @@ def test_answers_that_no_model_gave(folder, change, message):
         (lambda t: t.update(clouds=200_000), "to the milestone 200k"),
         (lambda t: t["recipe"].update(lr=0.5), "differ in recipe"),
         (lambda t: t["recipe"].update(epochs=-1), "recipe.epochs"),
-        (lambda t: t["options"].update(grid=16), "does not name the option(s) grid"),
+        (lambda t: t["options"].update(grid=16), "and precision it is pointnet [grid=16]"),
+        (lambda t: t.update(variant="wide"), "its row is pointnet [wide], but by its options"),
+        (lambda t: t["training"]["environment"].update(precision="bf16-mixed"),
+         "precision it is pointnet [precision bf16-mixed]"),
+        (lambda t: t["training"]["curve"].update(clouds_seen=[5, 6]), "its curve ends at 6 clouds"),
+        (lambda t: t["training"].update(train_loss=0.1), "its train_loss is 0.1, the last of its"),
+        (lambda t: t["train_data"]["class_names"].reverse(), "tell of other class names of it"),
+        (lambda t: t.update(seed=7), "is the record of another run than its name says"),
+        (lambda t: t.update(predictions_file="x.predictions.npz"),
+         "names the predictions of another run, x.predictions.npz"),
         (lambda t: t["cost"].update(parameters=12), "it says 12"),
         (lambda t: t.update(weights_sha256="0" * 64, seed=1), "record the same run"),
         (lambda t: t["scores"].update(accuracy=0.99), "give another accuracy"),
@@ -155,6 +167,24 @@ def test_answers_that_no_model_gave(folder, change, message):
 def test_a_forgery_with_mended_digests_is_found(folder, change, message):
     forge(folder, change)
     assert message in found(folder)
+
+
+def test_two_records_that_changed_places_are_found(folder):
+    one, other = sorted(folder.glob(f"*{SUFFIX}"))
+    kept = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(kept)
+    assert found(folder).count("is the record of another run than its name says") == 2
+
+
+def test_answers_of_one_seed_are_not_those_of_another(folder):
+    first_record, other = (results.read(path) for path in sorted(folder.glob(f"*{SUFFIX}")))
+    data = (folder / other.predictions_file).read_bytes()
+    (folder / first_record.predictions_file).write_bytes(data)
+    forge(folder, lambda text: text.update(
+        predictions_sha256=other.predictions_sha256, scores=other.scores
+    ))  # fmt: skip
+    assert "have the same answers under the seeds 1 and 0" in found(folder)
 
 
 def test_a_card_with_another_title_and_figure_is_not_the_registrys(folder):

@@ -8,7 +8,7 @@ import pytest
 
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
-from leaderboard.curves import find_families
+from leaderboard.tables.curves import find_families
 from partialbench.benchmark.records import results
 from partialbench.errors import InputError
 from tests.leaderboard.records import add, small_board

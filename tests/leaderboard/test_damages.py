@@ -5,8 +5,8 @@ import pytest
 
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
-from leaderboard.curves import find_families
-from leaderboard.damages import as_layout, find_damages, mean_errors
+from leaderboard.tables.curves import find_families
+from leaderboard.tables.damages import as_layout, find_damages, mean_errors
 from partialbench.benchmark.records import results
 from partialbench.benchmark.testing.damage import MODELNET_C, STRENGTHS, parse
 from partialbench.errors import InputError

@@ -7,8 +7,8 @@ import pytest
 
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
-from leaderboard.curves import find_families
-from leaderboard.given import as_layout, find_given_poses
+from leaderboard.tables.curves import find_families
+from leaderboard.tables.given import as_layout, find_given_poses
 from partialbench.benchmark.records import results
 from tests.leaderboard.records import add, small_board
 

@@ -5,7 +5,7 @@ import pytest
 
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
-from leaderboard.grid import BASE, Step, find_grids, grid_layouts, steps_of
+from leaderboard.tables.grid import BASE, Step, find_grids, grid_layouts, steps_of
 from partialbench.benchmark.records import results
 from partialbench.dataset.grid import cells_of
 from partialbench.errors import InputError

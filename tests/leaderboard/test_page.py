@@ -169,7 +169,7 @@ def test_columns_are_chosen_and_headings_explain_themselves(page):
 
 def test_every_tab_has_its_table_and_an_empty_one_says_what_would_fill_it(page):
     for tab, text in (("Complete", "GOOD"), ("Transfer", "GOOD"), ("Noise and density", "64"),
-                      ("Pose", "the true pose"), ("Cost", "multiply-adds")):  # fmt: skip
+                      ("Pose", "true pose"), ("Cost", "multiply-adds")):  # fmt: skip
         page.get_by_role("link", name=tab, exact=True).click()
         assert text in page.locator("main").inner_text()
         assert page.locator("tbody tr").count() > 0
@@ -256,3 +256,8 @@ def test_axe_finds_no_serious_fault(page):
         page.locator(f"nav a[href*='tab={tab}'][aria-current]").wait_for()
         found = page.evaluate("axe.run()")["violations"]
         assert [(f["id"], f["nodes"][0]["html"]) for f in found] == []
+
+
+def test_the_papers_figures_say_that_they_are_on_other_data(page):
+    heads = page.locator("#table th .sort").all_inner_texts()
+    assert "paper, PM40 (reported, other data)" in heads

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leaderboard.board import make_board
-from leaderboard.poses import DECIDING, TOP_K, pose_layouts
+from leaderboard.tables.poses import DECIDING, TOP_K, pose_layouts
 from partialbench.benchmark.records import results
 from tests.leaderboard.records import add
 

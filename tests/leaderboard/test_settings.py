@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from leaderboard.board import make_board
-from leaderboard.settings import as_layout, losses, setting_families
+from leaderboard.tables.settings import as_layout, losses, setting_families
 from partialbench.benchmark.records import results
 from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 from tests.leaderboard.records import add

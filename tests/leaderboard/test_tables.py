@@ -17,7 +17,7 @@ from leaderboard.board import Column, make_board, ranked
 from leaderboard.build import build_leaderboard
 from leaderboard.check import problems
 from leaderboard.comparison import compare
-from leaderboard.latex import escape
+from leaderboard.tables.latex import escape
 from leaderboard.words import engineering, model_input
 from partialbench.benchmark.protocol.protocol import protocol
 from partialbench.benchmark.records import results
@@ -170,10 +170,12 @@ def test_latex_escapes_and_balances(folder, tmp_path):
     text = (tmp_path / "leaderboard.tex").read_text()
     assert text.count(r"\begin{") == text.count(r"\end{")
     assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
-    for line in text.splitlines():
-        if line.endswith(r"\\"):
-            head = 6 if "83.5" in text else 5
-            assert len(re.findall(r"(?<!\\)&", line)) in (4, head - 1)
+    tabulars = re.findall(r"\\begin\{tabular\}\{(l[lcr]*)\}(.*?)\\end\{tabular\}", text, re.S)
+    assert tabulars
+    for columns, body in tabulars:
+        for line in body.splitlines():
+            if line.endswith(r"\\"):
+                assert len(re.findall(r"(?<!\\)&", line)) == len(columns) - 1
     assert not re.search(r"(?<!\\)%", text)
     assert escape("a_b & 5% × {x}") == r"a\_b \& 5\% $\times$ \{x\}"
     text.encode("ascii")  # every character is one that any LaTeX has
@@ -220,8 +222,9 @@ def test_everything_wrong_is_reported_at_once(made_up_models, folder):
     assert "record the same run" in found
     assert "give another accuracy than the record says" in found
     assert "belongs to no record" in found
-    assert len(found.splitlines()) == 5
-    with pytest.raises(InputError, match=r"5 thing\(s\) wrong"):
+    assert f"again_{paths[2].name} is the record of another run than its name says" in found
+    assert len(found.splitlines()) == 6
+    with pytest.raises(InputError, match=r"6 thing\(s\) wrong"):
         build_leaderboard(folder, folder / "out", check=True)
     assert not (folder / "out").exists()
 

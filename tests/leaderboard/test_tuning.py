@@ -8,7 +8,7 @@ import pytest
 
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
-from leaderboard.tuning import tuning_layouts
+from leaderboard.tables.tuning import tuning_layouts
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.trials import FILE, Trial, add_trial
 from partialbench.errors import InputError

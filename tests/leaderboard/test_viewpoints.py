@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from leaderboard.board import make_board
-from leaderboard.viewpoints import (
+from leaderboard.tables.viewpoints import (
     DISTANCE,
     EDGES,
     ELEVATION,

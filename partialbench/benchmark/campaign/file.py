@@ -29,7 +29,8 @@
     clouds = ["50k"]
     tries = [{lr = 0.001}, {lr = 0.002}]
 
-Paths are relative to the file. An entry may say one model, data set or milestone without brackets.
+Paths are relative to the file; a model of one's own ("my_net:make") is looked for from the current
+folder. An entry may say one model, data set or milestone without brackets.
 """
 
 from __future__ import annotations
@@ -43,11 +44,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from partialbench import registry
+from partialbench import registry, user_code
+from partialbench.benchmark import preflight
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
-from partialbench.benchmark.testing import damage
+from partialbench.benchmark.testing import damage, given_pose
 from partialbench.errors import InputError
 from partialbench.registry import ModelCard, close_matches
 
@@ -185,10 +187,15 @@ class _Reader:
         if "render" not in fields:
             raise self.wrong(name, f"[data.{name}] needs render, the arguments of that command")
         command = self.text(fields["render"], "render")
+        try:
+            parts = shlex.split(command)
+        except ValueError as error:
+            raise self.wrong(
+                "render", f"render of [data.{name}]: {error} in {command!r}"
+            ) from error
         missing = tuple(v for v in re.findall(r"\$\{(\w+)\}", command) if v not in os.environ)
         arguments = tuple(
-            re.sub(r"\$\{(\w+)\}", lambda m: os.environ.get(m[1], m[0]), part)
-            for part in shlex.split(command)
+            re.sub(r"\$\{(\w+)\}", lambda m: os.environ.get(m[1], m[0]), part) for part in parts
         )
         if "--out" in arguments:
             raise self.wrong("--out", "render must not say --out: the folder is the campaign's own")
@@ -219,10 +226,12 @@ class _Reader:
         # What the preset has anyway is no change: such an entry's trainings are the preset's own.
         own_fields, followed = protocols.PRESETS[preset].as_dict(), protocol.as_dict()
         changes = {name: followed[name] for name in changes if followed[name] != own_fields[name]}
+        tries = self.tables(fields.get("tries", []), "tries")
         for model in models:
             try:
+                preflight.check_model(model)
                 own = recipes.of_protocol(card_of(model), protocol)
-                for tried in (recipe, *fields.get("tries", [])):
+                for tried in (recipe, *tries):
                     recipes.override(own, tried)
             except InputError as error:
                 raise self.wrong(model, str(error)) from error
@@ -238,22 +247,31 @@ class _Reader:
             clouds = {milestones.parse(m) for m in self.several(fields["clouds"], object, "clouds")}
         except InputError as error:
             raise self.wrong("clouds", str(error)) from error
+        poses = self.several(fields.get("poses", []), object, "poses")
+        precision = self.text(fields.get("precision", preflight.FULL_PRECISION), "precision")
+        try:  # each as records name it
+            precision = preflight.check_precision(precision)
+            poses = tuple(dict.fromkeys(map(given_pose.parse, poses)))
+        except InputError as error:
+            raise self.wrong(precision, str(error)) from error
         found = Entry(
             kind,
-            models,
+            tuple(map(user_code.named, models)),
             names,
             tuple(sorted(clouds)),
             dict(self.table(fields.get("options", {}), "options")),
             recipe,
-            self.text(fields.get("precision", "32-true"), "precision"),
+            precision,
             changes,
             self.several(seeds, int, "seeds"),
             tests,
             self.several(fields.get("points", []), int, "points"),
-            tuple(map(str, self.several(fields.get("poses", []), object, "poses"))),
-            tuple(self.tables(fields.get("tries", []), "tries")),
+            poses,
+            tuple(tries),
             self.damages(fields),
         )
+        if found.points and min(found.points) < 1:
+            raise self.wrong("points", f"points must be 1 or more, got {min(found.points)}")
         if not found.seeds or min(found.seeds) < 0:
             raise self.wrong("seeds", f"seeds must be one or more, from 0 on; got {seeds!r}")
         return found

@@ -15,19 +15,26 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from fnmatch import fnmatchcase
+from typing import Any
 
 from partialbench import registry
 from partialbench.benchmark.campaign import jobs as job_files
 from partialbench.benchmark.campaign.file import Campaign, DataSet
 from partialbench.benchmark.campaign.jobs import FAILURES, Job, Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
-from partialbench.benchmark.campaign.worker import DIVERGED, DONE, STOPPED, run_in_process
+from partialbench.benchmark.campaign.worker import (
+    DIVERGED,
+    DONE,
+    FAILED,
+    STOPPED,
+    run_in_process,
+)
 from partialbench.benchmark.records.results import file_name
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.executors import dask_cluster
 from partialbench.dataset.lock import sole_user
 from partialbench.dataset.shards import write_atomically
-from partialbench.errors import PartialbenchError, TimeLimitError
+from partialbench.errors import InputError, PartialbenchError, TimeLimitError
 
 log = logging.getLogger(__name__)
 
@@ -65,9 +72,11 @@ def run(
 
     Raises:
         TimeLimitError: the time was over before the work was.
+        InputError: options that a model does not have, or not as the file has them.
         PartialbenchError: another campaign works in the folder, the disk is full, data that cannot
             be rendered or are not what the file declares.
     """
+    _check_options(campaign)
     campaign.results.mkdir(parents=True, exist_ok=True)
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
     with sole_user(campaign.work, "working on", "give it a folder of its own"):
@@ -94,6 +103,24 @@ def run(
                 f"command goes on"
             )
     return status(campaign)
+
+
+def _check_options(campaign: Campaign) -> None:
+    """Raises ``InputError`` for options that records would not have as the file has them.
+
+    Asked of the models' factories, so it loads them: not for a status.
+    """
+    for entry in campaign.entries:
+        for model in entry.models if entry.options else ():
+            from partialbench.benchmark.models import chosen_options
+
+            chosen = chosen_options(model, entry.options)
+            if chosen != entry.options:
+                raise InputError(
+                    f"{campaign.path}: options of {model} are {dict(entry.options)}; of the types "
+                    f"that it takes, and without those that are its defaults, they are {chosen}: "
+                    f"write them so"
+                )
 
 
 class _Runner:
@@ -197,7 +224,7 @@ class _Runner:
         """Takes a finished job's word; True where it was stopped."""
         job = self.running.pop(future)
         self._write_running()
-        answer = future.result()
+        answer = _answer(future, job)
         if answer["outcome"] == DONE:
             if not Ledger(self.campaign).is_done(job):
                 # Or it would be begun again for ever.
@@ -232,6 +259,22 @@ class _Runner:
         write_atomically(self.campaign.work / RUNNING, json.dumps(content).encode())
 
 
+def _answer(future: Future, job: Job) -> dict[str, Any]:
+    """What the job's process said, or what became of it.
+
+    Raises:
+        PartialbenchError: the cluster is gone, or no process can be started.
+    """
+    try:
+        return future.result()
+    except Exception as error:
+        if type(error).__name__ == "KilledWorker":  # of Dask: every worker that took it died
+            return {"outcome": FAILED, "reason": f"its workers died: {error}"}
+        raise PartialbenchError(
+            f"{job.title} has no answer: {type(error).__name__}: {error}. The same command goes on"
+        ) from error
+
+
 @contextlib.contextmanager
 def _executor(
     scheduler: str | None, jobs: int | None, device: str
@@ -255,8 +298,8 @@ def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[s
     say(f"rendering {data.name} into {data.folder}")
     where = ["--scheduler", scheduler] if scheduler else ["--workers", str(workers)]
     command = [
-        sys.executable, "-m", "partialbench.cli", "render", *data.render, "--out", str(data.folder),
-        *where,
+        sys.executable, "-P", "-m", "partialbench.cli", "render", *data.render,
+        "--out", str(data.folder), *where,
     ]  # fmt: skip
     done = subprocess.run(command, stdout=subprocess.PIPE)  # its bar and errors are the user's
     if done.returncode:

@@ -36,7 +36,8 @@ def run_in_process(order: dict[str, Any], stop: str) -> dict[str, Any]:
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "ab") as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-m", __name__],
+            # -P: a user's random.py in the current folder is not everyone's.
+            [sys.executable, "-P", "-m", __name__],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, env=environment,
             start_new_session=True,  # Ctrl-C reaches the campaign, which asks by the file
         )  # fmt: skip

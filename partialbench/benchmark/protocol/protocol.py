@@ -94,6 +94,8 @@ class Protocol:
             if not is_number(value):
                 raise InputError(f"{name} must be a number, got {value!r}")
             object.__setattr__(self, name, float(value))
+        if self.rotation is None:  # as a command line reads rotation=none
+            object.__setattr__(self, "rotation", "none")
         if not 0 <= self.validation_fraction < 1:
             raise InputError(
                 f"validation_fraction must be in [0, 1), got {self.validation_fraction!r}"

@@ -15,6 +15,10 @@ from partialbench.registry import COMMON_RECIPE, ModelCard, Recipe, close_matche
 
 OPTIMIZERS = ("adam", "adamw", "muon", "sgd")
 
+LATER: Mapping[str, Any] = {"average": False}
+"""Fields that recipes were given after records of them were written. With these values they are not
+written, so that a recipe is still the one that an earlier record names."""
+
 
 def label_smoothing(recipe: Recipe, num_classes: int) -> float:
     """The recipe's smoothing in torch's sense: ε over the others is ε·K/(K − 1) over all."""
@@ -65,8 +69,8 @@ def override(recipe: Recipe, changes: Mapping[str, Any]) -> Recipe:
 
 def changes(own: Recipe, wanted: Mapping[str, Any]) -> dict[str, Any]:
     """What of ``wanted`` differs from a model's own recipe: the rest makes no other row."""
-    fields = as_dict(override(own, wanted))
-    before = as_dict(own)
+    fields = {**LATER, **as_dict(override(own, wanted))}
+    before = {**LATER, **as_dict(own)}
     return {name: fields[name] for name in wanted if fields[name] != before[name]}
 
 
@@ -92,7 +96,7 @@ def _checked(name: str, value: Any) -> Any:
         return int(value) if name in ("batch_size", "epochs") else float(value)
     if name == "optimizer" and value not in OPTIMIZERS:
         raise InputError(f"no optimizer named {value!r}{close_matches(str(value), OPTIMIZERS)}")
-    kinds = {"schedule_options": Mapping, "smoothing_over_others": bool}
+    kinds = {"schedule_options": Mapping, "smoothing_over_others": bool, "average": bool}
     kind = kinds.get(name, str)
     if not isinstance(value, kind):
         raise InputError(
@@ -102,8 +106,11 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def as_dict(recipe: Recipe) -> dict[str, Any]:
-    """Plain JSON data."""
-    fields = dataclasses.asdict(recipe)
+    """Plain JSON data, without the fields of ``LATER`` that have its values."""
+    fields = {
+        name: value for name, value in dataclasses.asdict(recipe).items()
+        if name not in LATER or value != LATER[name]
+    }  # fmt: skip
     fields["schedule_options"] = {
         k: dict(v) if isinstance(v, Mapping) else list(v) if isinstance(v, tuple) else v
         for k, v in recipe.schedule_options.items()
@@ -119,7 +126,7 @@ def deviations(
     Args:
         clouds: the milestone.
     """
-    before, after = as_dict(published), as_dict(used)
+    before, after = ({**LATER, **as_dict(recipe)} for recipe in (published, used))
     # How long a training is the milestone says too, and it has the last word.
     changes = [
         f"{name} {after[name]!r} instead of {before[name]!r}"

@@ -22,14 +22,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
-
-from torch import nn
-from torch.optim import Optimizer
+from typing import TYPE_CHECKING, Any
 
 from partialbench.benchmark.protocol.milestones import Plan
 from partialbench.errors import InputError
 from partialbench.registry import Recipe, close_matches
+
+if TYPE_CHECKING:  # what is planned, a campaign's status, needs no torch
+    from torch import nn
+    from torch.optim import Optimizer
 
 PUBLISHED_EPOCH_SAMPLES = 9_840
 """Training objects of ModelNet40 as its point-cloud releases count them (9,840 of 9,843)."""
@@ -61,6 +62,11 @@ def check(recipe: Recipe) -> None:
         raise InputError(
             f"epochs={recipe.epochs} does not go with the schedule {recipe.schedule!r}: "
             + ("the milestone says how long it is, see --clouds" if grown else "give their number")
+        )
+    if recipe.average and not grown:
+        raise InputError(
+            f"average=True needs the schedule {GROWN!r}, over whose decay it is taken; the recipe "
+            f"has {recipe.schedule!r}"
         )
     known = _OPTIONS[recipe.schedule] | (set() if grown else {"bn_momentum"})
     for option in recipe.schedule_options:
@@ -166,9 +172,11 @@ class Schedule:
             group["lr"] = rate
         decay = self.recipe.schedule_options.get("bn_momentum")
         if decay is not None:
+            from torch.nn.modules.batchnorm import _BatchNorm
+
             momentum = batch_norm_momentum(decay, progress * published_epochs(self.recipe))
             for module in model.modules():
-                if isinstance(module, nn.modules.batchnorm._BatchNorm):
+                if isinstance(module, _BatchNorm):
                     module.momentum = momentum
         return rate
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import fcntl
 import io
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -25,7 +26,8 @@ class Trial:
         model, options: as the record of the row has them; ``options`` as "k=v …", a start among
             them.
         recipe: what the trial changed about the model's recipe under the protocol, "" for nothing.
-        data, protocol: digests. clouds_seen: repeats counted.
+        data, protocol: digests. clouds_seen: repeats counted; of a trial that diverged, those it
+            was to see.
         validation_accuracy: share of validation clouds, after the last epoch; None, as the loss,
             for a trial whose training diverged.
     """
@@ -62,7 +64,7 @@ def read_trials(path: Path) -> list[Trial]:
     """The trials of a ``tuning.csv``; none where there is no such file.
 
     Raises:
-        InputError: a file that is not one.
+        InputError: a file that is not one, or with a trial that cannot be.
     """
     if not path.is_file():
         return []
@@ -70,12 +72,33 @@ def read_trials(path: Path) -> list[Trial]:
     kinds = {f.name: readers.get(str(f.type), str) for f in fields(Trial)}
     try:
         with open(path, newline="", encoding="utf-8") as file:
-            return [
+            found = [
                 Trial(**{name: kind(line[name]) for name, kind in kinds.items()})
                 for line in csv.DictReader(file)
             ]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise InputError(f"{path} is not a file of trials: {error!r}") from error
+    known = set()
+    for number, trial in enumerate(found, 2):
+        fault = "it comes twice" if trial.identity in known else _fault(trial)
+        if fault:
+            raise InputError(f"{path}, line {number}: no trial of {trial.row} ended so: {fault}")
+        known.add(trial.identity)
+    return found
+
+
+def _fault(trial: Trial) -> str:
+    """What a trial says that cannot be, "" for nothing."""
+    loss, accuracy = trial.train_loss, trial.validation_accuracy
+    if (loss is None) != (accuracy is None):
+        return "of loss and accuracy one is missing"
+    if loss is not None and not math.isfinite(loss):
+        return f"its loss is {loss}"
+    if accuracy is not None and not 0 <= accuracy <= 1:
+        return f"its validation accuracy is {accuracy}, expected 0 to 1"
+    if trial.clouds_seen < 1:
+        return f"it has seen {trial.clouds_seen} clouds"
+    return ""
 
 
 def _number(cell: str) -> float | None:

@@ -22,7 +22,7 @@ from partialbench.benchmark.records.predictions import (
 )
 from partialbench.benchmark.testing import duplicates
 from partialbench.benchmark.testing.given_pose import ARGUMENT, Told
-from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
+from partialbench.benchmark.testing.isolation import State, keyed_draws, unchanged
 from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
 
@@ -43,13 +43,14 @@ def run_model(
     """The model's answers for ``rows``, batch by batch, in evaluation mode and full precision.
 
     Clouds are the first points of the stored order: no augmentation, no votes. What a model itself
-    draws is keyed by the batch.
+    draws is keyed by the batch, and after each it is what it was: no batch sees an earlier one.
 
     Args:
         given: what is told of the poses of ``rows``; by default the model has its own. Under
             several, each class's logit is of the answer under its own; the rest of the first's.
     """
     model.eval()
+    state = State(model)
     for start in range(0, len(rows), batch_size):
         chosen = rows[start : start + batch_size]
         points, beside = inputs.of_rows(model, dataset, chosen, device)
@@ -62,7 +63,7 @@ def run_model(
                 poses = [{ARGUMENT: each} for each in of_batch.unbind(1)]
             answers = []
             for pose in poses:
-                with keyed_draws(start, device=device):
+                with unchanged(model, state), keyed_draws(start, device=device):
                     output = model(points, **beside, **pose)
                 answers.append(as_prediction(output, len(chosen), num_classes))
             prediction = answers[0]
@@ -91,8 +92,7 @@ def predict_rows(
 ) -> Predictions:
     """Predictions for ``rows`` of a test split.
 
-    The clouds are scored in a fixed shuffled order, so that no batch is of one class, and the model
-    is afterwards what it was.
+    The clouds are scored in a fixed shuffled order, so that no batch is of one class.
 
     Args:
         class_names: of the model, which may have been trained on other classes than ``dataset``'s.
@@ -110,13 +110,12 @@ def predict_rows(
     told = None if given is None else given._replace(rotations=given.rotations[order])
     known = _shared(class_names, dataset.class_names)
     parts: list[dict[str, Tensor]] = []
-    with unchanged(model):
-        answers = run_model(model, dataset, rows[order], len(class_names), device, batch_size, told)
-        for chosen, prediction in answers:
-            _require_finite(prediction.class_logits, chosen)
-            if not dataset.has_poses:  # nothing tells whether its poses are right
-                prediction = prediction._replace(pose_logits=None)
-            parts.append(_kept(prediction, known, answers_alone))
+    answers = run_model(model, dataset, rows[order], len(class_names), device, batch_size, told)
+    for chosen, prediction in answers:
+        _require_finite(prediction.class_logits, chosen)
+        if not dataset.has_poses:  # nothing tells whether its poses are right
+            prediction = prediction._replace(pose_logits=None)
+        parts.append(_kept(prediction, known, answers_alone))
     back = np.argsort(order)
     kept = {name: torch.cat([part[name] for part in parts]).numpy()[back] for name in parts[0]}
     return Predictions(
@@ -174,8 +173,7 @@ def quick_accuracy(
     if len(rows) == 0:
         return None
     hits = 0
-    with unchanged(model):
-        for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
-            answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
-            hits += int((answer == dataset.labels[chosen]).sum())
+    for chosen, prediction in run_model(model, dataset, rows, len(dataset.class_names), device):
+        answer = prediction.class_logits.argmax(dim=1).cpu().numpy()
+        hits += int((answer == dataset.labels[chosen]).sum())
     return hits / len(rows)

@@ -29,6 +29,9 @@ from partialbench.geometry.symmetry import CLASS_SYMMETRY, GROUPS, map_rotation,
 if TYPE_CHECKING:
     from torch import nn
 
+if TYPE_CHECKING:
+    from torch import nn
+
 RANDOM = "random"
 PER_CLASS = "class:"
 """Before the degrees: told under each class's own symmetry, not under the true class's."""
@@ -60,7 +63,7 @@ def parse(text: str | float) -> str:
     prefix = PER_CLASS if isinstance(text, str) and text.startswith(PER_CLASS) else ""
     try:
         delta = float(str(text)[len(prefix) :])
-    except ValueError:
+    except (TypeError, ValueError):
         delta = math.nan
     if not 0 <= delta <= 180:
         raise InputError(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -225,6 +226,69 @@ def seed_test(
     p_values = 2 * stats.t.sf(t, degrees)
     np.fill_diagonal(p_values, 1.0)
     return p_values
+
+
+class Contrast(NamedTuple):
+    """A weighted sum of rows' means: its value, the bounds of its interval, and p of "it is 0".
+
+    Attributes:
+        objects, seeds: its standard errors over test objects and over trainings.
+    """
+
+    value: float
+    low: float
+    high: float
+    p_value: float
+    objects: float
+    seeds: float
+
+
+def contrast(
+    values: NDArray,
+    object_ids: NDArray,
+    seed_means: Sequence[Sequence[float]],
+    weights: Sequence[float],
+    confidence: float = 0.95,
+) -> Contrast:
+    """A weighted sum of rows' means over clouds, of methods of which the seeds are draws.
+
+    The rows are paired: the sum is made for each cloud, and whole objects are the draws. Variance
+    over objects and over trainings are added as in ``seed_test``; the latter is pooled over all
+    rows with two seeds or more, each weighing as its square weight over its number of seeds.
+
+    Args:
+        values: (M,R) per cloud and row, averaged over seeds.
+        seed_means: for each row the mean of each of its seeds.
+        weights: (R,).
+
+    Raises:
+        ValueError: no row has two seeds: nothing says how trainings vary.
+
+    Source: Welch 1947, with Satterthwaite's degrees of freedom.
+    """
+    freedom = sum(len(means) - 1 for means in seed_means)
+    if freedom == 0:
+        raise ValueError("an interval that includes seeds needs a row with two seeds or more")
+    weighted = np.asarray(weights, np.float64)
+    squares = sum(float(np.var(means)) * len(means) for means in seed_means)
+    numbers = np.array([len(means) for means in seed_means], np.float64)
+    over_seeds = squares / freedom * float((weighted**2 / numbers).sum())
+    sums, counts = per_object(np.asarray(values, np.float64) @ weighted[:, None], object_ids)
+    n, clouds = len(counts), counts.sum()
+    value = float(sums.sum() / clouds)
+    residuals = sums[:, 0] - counts * value
+    over_objects = float((residuals**2).sum()) / clouds**2 * n / max(n - 1, 1)
+    variance = over_objects + over_seeds
+    parts = over_objects**2 / max(n - 1, 1) + over_seeds**2 / freedom
+    degrees = variance**2 / parts if parts > 0 else np.inf
+    reach = float(stats.t.ppf(0.5 + confidence / 2, degrees)) * variance**0.5
+    if variance > 0:
+        p_value = 2 * float(stats.t.sf(abs(value) / variance**0.5, degrees))
+    else:
+        p_value = 1.0 if value == 0 else 0.0
+    return Contrast(
+        value, value - reach, value + reach, p_value, over_objects**0.5, over_seeds**0.5
+    )
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

@@ -40,7 +40,7 @@ def check(content: Mapping[str, Any]) -> None:
     try:
         followed = protocols.from_dict(dict(content["protocol"]))
         known = {f.name for f in fields(Recipe)}
-        if set(content["recipe"]) != known:
+        if set(content["recipe"]) | set(recipes.LATER) != known:
             raise InputError(f"a recipe has the fields {', '.join(sorted(known))}")
         recipes.override(Recipe(), content["recipe"])
         DataRecord(**content["train_data"])
@@ -144,5 +144,7 @@ _OPTIONAL: dict[str, _Field] = {
     "history": ("a list", lambda v: isinstance(v, list)),
     "environments": ("a list", lambda v: isinstance(v, list)),
     "train_sources": _TEXTS,
+    "average": ("names with tensors", _is_state),
+    "averaged": _COUNT,
     "summary": ("a finished training's summary", _is_summary),
 }

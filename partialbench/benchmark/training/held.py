@@ -18,6 +18,6 @@ def hold(folder: Path, first: bool = True) -> Iterator[None]:
     if not first:
         yield
         return
-    instead = "choose another --results folder or other seeds; --resume goes on with what it did"
+    instead = "choose another --results folder or other seeds"
     with sole_user(folder, "working on", instead):
         yield

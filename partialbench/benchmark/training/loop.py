@@ -12,7 +12,7 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +29,11 @@ from partialbench.benchmark.protocol.milestones import Plan
 from partialbench.benchmark.protocol.schedule import Schedule
 from partialbench.benchmark.testing import audit, duplicates, evaluate
 from partialbench.benchmark.training import finetune
+from partialbench.benchmark.training.average import (
+    FRESH_BATCHES,
+    WeightMean,
+    refresh_statistics,
+)
 from partialbench.benchmark.training.batches import BatchStream, Place
 from partialbench.benchmark.training.optimizers import make_optimizer
 from partialbench.benchmark.training.seeds import seed_all
@@ -127,6 +132,7 @@ class Loop:
         self.step, self.loss_sum, self.in_interval = 0, 0.0, 0
         self.unread: list[Tensor] = []
         self.history: list[dict[str, Any]] = []
+        self.average = WeightMean() if task.recipe.average else None
         self.seconds, self.started = 0.0, time.perf_counter()
         self.timed, self.timed_since = 0, time.perf_counter()
         self.here = environment.describe(
@@ -148,6 +154,8 @@ class Loop:
         if "optimizer" in saved:
             self.optimizer.load_state_dict(saved["optimizer"])
             self.schedule.load_state_dict(saved["schedule"])
+        if self.average is not None and "average" in saved:
+            self.average.load(saved, self.bare)
 
     def content(self) -> dict[str, Any]:
         """All that going on from here needs. Every process must call it."""
@@ -155,14 +163,27 @@ class Loop:
         return {
             **self._weights(), "optimizer": self.optimizer.state_dict(),
             "schedule": self.schedule.state_dict(),
+            **(self.average.state() if self.average is not None and self.average.count else {}),
         }  # fmt: skip
 
     def finished(self) -> dict[str, Any]:
-        """Of a branch that is done: its weights, and the summary of how it got there."""
+        """Of a branch that is done: its weights, and the summary of how it got there. Every
+        process must call it."""
+        if self.average is not None:
+            self.average.put_into(self.bare)
+            refresh_statistics(self.bare, self._passes())
         self.history[-1]["validation_accuracy"] = evaluate.quick_accuracy(
             self.bare, self.task.dataset, self.task.validation_rows, self.fabric.device
         )
         return {**self._weights(), "summary": self._summary()}
+
+    def _passes(self) -> Iterator[None]:
+        """Forward passes in training mode over the batches that would have come next."""
+        self.network.train()
+        for step, place, batch in self.stream.steps(self.step, self.step + FRESH_BATCHES):
+            seed_all(step_seed(self.task.seed, "average", step, *place, self.fabric.global_rank))
+            self.network(_to(batch, self.fabric.device))
+            yield
 
     def _weights(self) -> dict[str, Any]:
         return {
@@ -225,6 +246,8 @@ class Loop:
             self.schedule.apply(self.optimizer, self.bare, step)
             seed_all(step_seed(self.task.seed, "step", *place, self.fabric.global_rank))
             self._take(batch)
+            if self.average is not None and step >= self.plan.branch_at:
+                self.average.add(self.bare)
             self.step, self.in_interval, self.timed = step + 1, self.in_interval + 1, self.timed + 1
             ends = self.plan.ends_interval(self.step, in_branch=step >= self.plan.branch_at)
             if ends or self.step % CHECK_EVERY == 0 or self.step == until:

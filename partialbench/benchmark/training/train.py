@@ -6,6 +6,7 @@ a new one begins from the last state of the trunk before it. A trunk that is los
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import logging
@@ -32,6 +33,7 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.records.results import describe_data
 from partialbench.benchmark.training import checkpoint, finetune
+from partialbench.benchmark.training.follow import TensorBoard
 from partialbench.benchmark.training.loop import CHECK_EVERY, DivergedError, Loop
 from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.dataset.shards import write_atomically
@@ -113,6 +115,7 @@ def train(
     checkpoint_every: int | None = None,
     should_stop: Callable[[], bool] | None = None,
     silent: bool = False,
+    log_to: str = "csv",
 ) -> Trained:
     """Trains to a milestone, going on from what ``folder`` has.
 
@@ -123,6 +126,7 @@ def train(
         checkpoint_every: save after every so many steps too, besides every few minutes.
         should_stop: asked after every step.
         silent: without a progress bar.
+        log_to: "tensorboard" for event files beside the log.csv, in ``branch-…/tensorboard``.
 
     Raises:
         DivergedError: NaN or infinite loss.
@@ -162,7 +166,11 @@ def train(
             checkpoint.save(path, identity, {**content, "kind": "branch", "clouds": clouds})
             files.note(loop.speed(), branch=(clouds, loop.clouds_seen))
 
+    watched = None
+    if log_to == "tensorboard" and fabric.is_global_zero:
+        watched = TensorBoard(path.parent / "tensorboard", loop.history)
     with (
+        contextlib.closing(watched) if watched else contextlib.nullcontext(),
         training_bar(Console(stderr=True), silent=silent or not fabric.is_global_zero) as progress,
         _Keeper(fabric, loop, checkpoint_every, should_stop) as keeper,
     ):
@@ -174,6 +182,8 @@ def train(
                 if loop.step % CHECK_EVERY == 0 or loop.step == until:
                     shown = f"loss {loop.mean_loss:.3f}" if loop.in_interval else ""
                     progress.update(bar, completed=loop.step, **({"loss": shown} if shown else {}))
+                    if watched:
+                        watched.update(loop.history)
                 keeper.after_step(save)
 
             loop.advance(until, after_step)
@@ -185,7 +195,9 @@ def train(
                 save_trunk()
             loop.begin_branch()
         advance(plan.steps, save_branch)
-    content = loop.finished()
+        content = loop.finished()
+        if watched:
+            watched.update(loop.history)
     if fabric.is_global_zero:
         path.parent.mkdir(parents=True, exist_ok=True)
         checkpoint.save(path, identity, {**content, "kind": "branch", "clouds": clouds})

@@ -58,7 +58,9 @@ def _ascii(content: bytes, header: PlyHeader, at: int) -> dict[str, NDArray]:
             f"{len(vertex.properties)}"
         )
     wanted = {*XYZ, *(name for triple in NORMALS for name in triple)}
-    return {p.name: table[:, k] for k, p in enumerate(vertex.properties) if p.name in wanted}
+    return {
+        p.name: table[:, k] for k, p in enumerate(vertex.properties) if p.name.lower() in wanted
+    }
 
 
 def _binary(content: bytes, header: PlyHeader, at: int) -> dict[str, NDArray]:

@@ -1,0 +1,1 @@
+"""The board's figures as files, made on request."""

@@ -1,0 +1,53 @@
+"""Models by name, fresh or with the weights of a finished training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from partialbench.benchmark import models
+from partialbench.benchmark.predict import find_checkpoint
+from partialbench.benchmark.training import finetune
+from partialbench.errors import InputError
+
+
+def create_model(
+    name: str, num_classes: int, pretrained: bool | Path | str = False, **options: Any
+) -> nn.Module:
+    """A model to train or to look at.
+
+    Args:
+        name: a registered name (``list_models``), or your "module:factory".
+        num_classes: K ≥ 2.
+        pretrained: the checkpoint, or the run's folder, of a finished training of this model. Its
+            last layer is taken if it has as many classes, and stays fresh if not.
+        options: for the model's factory (``k=5``).
+
+    Returns:
+        A module that takes (B,N,3) float32 camera-frame clouds and returns a ``Prediction`` with
+        ``class_logits`` (B,K), and ``pose_logits`` (B,60) where it has a pose head.
+
+    Raises:
+        InputError: no such model, option or checkpoint, or weights of another architecture.
+
+    >>> import torch
+    >>> model = create_model("pointnet", num_classes=5).eval()
+    >>> model(torch.randn(2, 128, 3)).class_logits.shape
+    torch.Size([2, 5])
+    """
+    model = models.create(name, num_classes, options)
+    if pretrained is False:
+        return model
+    if pretrained is True:
+        raise InputError(
+            f"no weights of {name} come with this release; give pretrained the checkpoint of a "
+            f"training: pretrained='results/runs/…/checkpoint.pt'"
+        )
+    start = finetune.load(find_checkpoint(Path(pretrained)), name)
+    # As many classes count as the same: a user who asked for them by number knows which they are.
+    same = num_classes == len(start.class_names)
+    names = start.class_names if same else [str(label) for label in range(num_classes)]
+    finetune.begin(model, start, names, lambda count: models.create(name, count, options))
+    return model

@@ -1,0 +1,160 @@
+"""What every command takes: ``--config FILE`` and ``--save-config FILE``.
+
+A configuration is a TOML file with a command's own options as keys, as they are on the command
+line but for the dashes: ``num-points = 512`` or ``num_points = 512``. Several commands may share a
+file: each then has a table by its name. The command line goes before the file.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import json
+import tomllib
+import typing
+from collections.abc import Callable, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from partialbench.registry import close_matches
+
+_OWN = ("config", "save_config", "help")
+_GIVEN = ("COMMANDLINE", "DEFAULT_MAP", "ENVIRONMENT")
+
+
+class Verbs(typer.Typer):
+    """A Typer whose commands take a configuration, and stand under one heading of the help."""
+
+    def __init__(self, panel: str | None = None, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.panel = panel
+
+    def command(  # type: ignore[override]
+        self, *args: Any, **kwargs: Any
+    ) -> Callable[[Callable], Callable]:
+        """As Typer's; the function is returned as it was."""
+        if self.panel:
+            kwargs.setdefault("rich_help_panel", self.panel)
+        register = super().command(*args, **kwargs)
+
+        def decorate(function: Callable) -> Callable:
+            register(_configured(function))
+            return function
+
+        return decorate
+
+
+def _configured(function: Callable) -> Callable:
+    hints = typing.get_type_hints(function, include_extras=True)
+
+    @functools.wraps(function)
+    def run(context: typer.Context, save_config: Path | None, **options: Any) -> Any:
+        options.pop("config")
+        if save_config is not None:
+            from partialbench.dataset.shards import write_atomically  # NumPy, not by every --help
+
+            write_atomically(save_config, as_toml(context).encode())
+        return function(**options)
+
+    own = {"context": typer.Context, "config": Config, "save_config": SaveConfig}
+    parameters = [
+        parameter.replace(annotation=hints[name])
+        for name, parameter in inspect.signature(function).parameters.items()
+    ]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    added = [
+        inspect.Parameter("context", keyword, annotation=typer.Context),
+        inspect.Parameter("config", keyword, default=None, annotation=Config),
+        inspect.Parameter("save_config", keyword, default=None, annotation=SaveConfig),
+    ]
+    del run.__wrapped__  # what is called is told by the signature below
+    run.__annotations__ = {**hints, **own}
+    run.__signature__ = inspect.Signature(parameters + added)  # type: ignore[attr-defined]
+    return run
+
+
+def _read(context: typer.Context, path: Path | None) -> Path | None:
+    """Makes what the file says the defaults of the command's options."""
+    if path is None:
+        return None
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise typer.BadParameter(f"{path} cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise typer.BadParameter(f"{path} is no TOML file: {error}") from error
+    context.default_map = {**(context.default_map or {}), **_options(content, context, path)}
+    return path
+
+
+def _options(content: Mapping[str, Any], context: typer.Context, path: Path) -> dict[str, Any]:
+    """Parameter → value, from a file for this command or one with a table for each."""
+    name = context.command.name or ""
+    tables = {key: value for key, value in content.items() if isinstance(value, dict)}
+    plain = {key: value for key, value in content.items() if key not in tables}
+    if tables and not plain and name not in tables:
+        raise typer.BadParameter(f"{path} has no table [{name}]{close_matches(name, tables)}")
+    parameters = {key: value for value in _parameters(context) for key in _keys(value)}
+    found: dict[str, Any] = {}
+    for key, value in {**plain, **tables.get(name, {})}.items():
+        parameter = parameters.get(key.replace("-", "_"))
+        if parameter is None:
+            known = [_keys(one)[0].replace("_", "-") for one in _parameters(context)]
+            raise typer.BadParameter(
+                f"{path}: {name} has no option {key!r}{close_matches(key, known)}"
+            )
+        several = getattr(parameter, "multiple", False)
+        if (isinstance(value, list) and not several) or isinstance(value, dict):
+            raise typer.BadParameter(f"{path}: {key} takes one value, got {value!r}")
+        found[parameter.name] = [value] if several and not isinstance(value, list) else value
+    return found
+
+
+def _parameters(context: typer.Context) -> list[Any]:
+    return [one for one in context.command.params if one.name not in _OWN]
+
+
+def _keys(parameter: Any) -> list[str]:
+    """What a parameter is called in a file: as its long options without the dashes, or its name."""
+    options = [o for o in (*parameter.opts, *parameter.secondary_opts) if o.startswith("--")]
+    options = [o for o in options if not o.startswith("--no-")]
+    return [o.removeprefix("--").replace("-", "_") for o in options] or [parameter.name]
+
+
+def as_toml(context: typer.Context) -> str:
+    """The options that were given, by the command line or a file, as a file has them."""
+    lines = [f"# partialbench {context.command_path.partition(' ')[2]}"]
+    for parameter in _parameters(context):
+        source = context.get_parameter_source(parameter.name)
+        value = context.params.get(parameter.name)
+        if source is not None and source.name in _GIVEN and value is not None:
+            lines.append(f"{_keys(parameter)[0].replace('_', '-')} = {_toml(value)}")
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, Enum):
+        value = value.value
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    if isinstance(value, Path):
+        value = str(value)
+    # A JSON string is a TOML string, but for DEL and for halves of characters.
+    text = json.dumps(value, ensure_ascii=False)
+    return text.replace("\x7f", "\\u007f")
+
+
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", callback=_read, is_eager=True,
+        help="TOML file with this command's options; what is given here goes before it",
+    ),
+]  # fmt: skip
+SaveConfig = Annotated[
+    Path | None,
+    typer.Option("--save-config", help="write the options given here to such a file, and go on"),
+]

@@ -1,0 +1,124 @@
+"""One view of one shape, without a data folder: what a notebook starts with."""
+
+from __future__ import annotations
+
+import dataclasses
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from partialbench import registry
+from partialbench.dataset.rows import ALIGNED_POSE, draw
+from partialbench.dataset.seeding import generator
+from partialbench.dataset.sources import RejectedView, View
+from partialbench.errors import InputError
+from partialbench.geometry.camera import Camera, sample_pose
+from partialbench.geometry.rotations import is_rotation
+
+if TYPE_CHECKING:
+    import trimesh
+
+Pose = Literal["random", "aligned"] | tuple[ArrayLike, ArrayLike]
+
+
+def render_view(
+    shape: str | PathLike[str] | trimesh.Trimesh | ArrayLike,
+    pose: Pose = "random",
+    num_points: int | None = 1024,
+    resolution: int = 256,
+    sensor: str = "ideal",
+    depth: bool = False,
+    seed: int = 0,
+    *,
+    normals: bool = False,
+    camera: Camera | None = None,
+    up: str = "z",
+) -> View:
+    """What a depth camera sees of a mesh, or which points of a complete cloud are not hidden.
+
+    The shape is moved and scaled into the unit ball about the origin first: the object frame.
+
+    Args:
+        shape: a mesh file (OFF, OBJ, PLY, STL, GLB, glTF, DAE), a ``trimesh.Trimesh``, a file of a
+            complete cloud, or its (n,3) points.
+        pose: "random" (uniform on SO(3), t as the paper draws it), "aligned" (as the shape stands,
+            3.5 units in front of the camera), or (R_camera_object (3,3), t_camera_object (3,)),
+            such as ``look_at`` gives.
+        num_points: drawn without replacement; where fewer are seen, all of them first and repeats
+            after. None for every point that is seen.
+        resolution: side of the depth image in pixels (meshes only).
+        sensor: what distorts the depth: "ideal", "kinect-v1", "tof", with ":STRENGTH" (meshes
+            only).
+        depth: keep the depth image (meshes only).
+        seed: of the pose, the sensor's noise and the drawing.
+        normals: with the surface normals of the points.
+        camera: a fixed one instead of the crop fitted to the object; it may cut it (meshes only).
+        up: the shape's upward axis, "z" or "y".
+
+    Returns:
+        A ``View``: ``points`` (num_points,3) float32 in the camera frame (x right, y down, z
+        forward), ``R_camera_object``, ``t_camera_object``, ``K``, ``visible_fraction``,
+        ``n_visible``, and on request ``depth`` (H,W) and ``normals``.
+
+    Raises:
+        InputError: what cannot be read, an option that a cloud does not take, or nothing to see.
+
+    >>> import trimesh
+    >>> box = trimesh.creation.box((1, 1, 1))
+    >>> from partialbench.geometry.camera import look_at
+    >>> view = render_view(box, look_at((0, -3, 0)), num_points=64, resolution=32)
+    >>> view.points.shape, view.points.dtype, round(view.visible_fraction, 2)
+    ((64, 3), dtype('float32'), 0.17)
+    """
+    if num_points is not None and num_points < 1:
+        raise InputError(f"num_points must be at least 1, got {num_points}")
+    solid = registry.load(registry.READ_SHAPE)(shape, up)
+    is_cloud = isinstance(solid, np.ndarray)
+    asked = {"resolution": resolution, "sensor": sensor, "keep_depth": depth, "camera": camera}
+    if is_cloud:
+        defaults = {"resolution": 256, "sensor": "ideal", "keep_depth": False, "camera": None}
+        if foreign := [name for name, value in asked.items() if value != defaults[name]]:
+            raise InputError(
+                f"{foreign[0].removeprefix('keep_')}={asked[foreign[0]]!r} does not apply: the "
+                f"shape is a cloud, of which hidden points are removed; no image is formed"
+            )
+        asked = {}
+    entry = registry.occluder_entry("hpr" if is_cloud else "mitsuba")
+    occluder = registry.load(entry)(**asked, normals=normals)
+    pair = _pose(pose, seed)
+    (view,) = occluder.views(solid, [pair], [generator(seed, "render_view", "occluder")])
+    if isinstance(view, RejectedView):
+        raise InputError(f"this pose shows nothing of the shape: {view.reason}")
+    if num_points is None:
+        return view
+    chosen = draw(len(view.points), num_points, generator(seed, "render_view", "draw"))
+    return dataclasses.replace(
+        view,
+        points=view.points[chosen],
+        normals=None if view.normals is None else view.normals[chosen],
+    )
+
+
+def _pose(pose: Any, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    if isinstance(pose, str):
+        if pose == "random":
+            return sample_pose(generator(seed, "render_view", "pose"))
+        if pose == "aligned":
+            return ALIGNED_POSE
+        raise InputError(
+            f"no pose {pose!r}{registry.close_matches(pose, ['random', 'aligned'])}; or give (R, t)"
+        )
+    try:
+        R, t = (np.asarray(part, np.float64) for part in pose)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"pose must be 'random', 'aligned' or (R (3,3), t (3,)), got {pose!r}"
+        ) from error
+    if R.shape != (3, 3) or t.shape != (3,) or not is_rotation(R) or not np.isfinite(t).all():
+        raise InputError(
+            f"pose must be (R (3,3), t (3,)) with R a rotation, got shapes {R.shape} and "
+            f"{t.shape}" + (f", det R = {np.linalg.det(R):g}" if R.shape == (3, 3) else "")
+        )
+    return R, t

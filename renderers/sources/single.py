@@ -1,0 +1,80 @@
+"""One shape by itself, a file or in memory, in the unit ball as a source would give it."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from partialbench.dataset.cloud_files import FORMATS, read_cloud
+from partialbench.dataset.ply import is_mesh
+from partialbench.errors import InputError
+from renderers.sources.clouds import normalise_cloud
+from renderers.sources.mesh import SUFFIXES, UPS, normalise, read_mesh
+
+
+def read_shape(
+    shape: str | PathLike[str] | trimesh.Trimesh | trimesh.PointCloud | NDArray, up: str = "z"
+) -> trimesh.Trimesh | NDArray[np.float32]:
+    """A mesh, or a cloud (n,3) float32, with z up, in the unit ball.
+
+    Args:
+        shape: the path of a mesh or of a complete cloud (a PLY with faces is a mesh), a mesh, or
+            (n,3) points of any real dtype.
+        up: the shape's upward axis, "z" or "y".
+
+    Raises:
+        InputError: no such file or format, a file that is broken, or no shape.
+    """
+    if up not in UPS:
+        raise InputError(f"up must be one of {', '.join(UPS)}, got {up!r}")
+    if isinstance(shape, trimesh.Trimesh):
+        return normalise(_turned(shape) if up == "y" else shape)
+    if isinstance(shape, trimesh.PointCloud):
+        return _cloud(np.asarray(shape.vertices), up, "the cloud")
+    if not isinstance(shape, str | PathLike):
+        return _cloud(_points(shape), up, "the cloud")
+    path = Path(shape)
+    suffix, name = path.suffix.lower(), str(path)
+    if not path.is_file():
+        raise InputError(f"no file at {path}")
+    if suffix not in (*SUFFIXES, *FORMATS):
+        raise InputError(
+            f"{path}: {suffix or 'a file without suffix'} is not read; give a mesh "
+            f"({', '.join(SUFFIXES)}) or a cloud ({', '.join(FORMATS)})"
+        )
+    content = path.read_bytes()
+    if suffix in SUFFIXES and (suffix != ".ply" or is_mesh(content)):
+        return normalise(read_mesh(content, suffix, up, name), name)
+    return _cloud(read_cloud(content, name), up, name)
+
+
+def _points(given: Any) -> NDArray:
+    points = np.asarray(given)
+    if (
+        points.dtype.kind not in "fiu"
+        or points.ndim != 2
+        or points.shape[1] != 3
+        or not len(points)
+    ):
+        raise InputError(
+            f"expected a mesh, a path or (n,3) points, got "
+            f"{type(given).__name__} of shape {points.shape} and type {points.dtype}"
+        )
+    return points
+
+
+def _cloud(points: NDArray, up: str, name: str) -> NDArray[np.float32]:
+    if up == "y":
+        x, y, z = points.T
+        points = np.stack([x, -z, y], axis=1)
+    return normalise_cloud(points, name)
+
+
+def _turned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    x, y, z = np.asarray(mesh.vertices).T
+    return trimesh.Trimesh(np.stack([x, -z, y], axis=1), mesh.faces, process=False, validate=False)

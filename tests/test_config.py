@@ -1,0 +1,141 @@
+"""Configuration files: a command's own options by their names, the command line before them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from partialbench.cli import app
+from partialbench.cli.verbs import Verbs
+
+commands = Verbs("Panel")
+
+
+class Colour(StrEnum):
+    red = "red"
+    blue = "blue"
+
+
+@commands.command()
+def paint(
+    folder: Annotated[Path, typer.Argument()],
+    num_points: Annotated[int, typer.Option()] = 3,
+    colour: Annotated[Colour, typer.Option()] = Colour.red,
+    tries: Annotated[list[str] | None, typer.Option("--try")] = None,
+    as_json: Annotated[bool, typer.Option("--json")] = False,
+    shiny: Annotated[bool, typer.Option()] = False,
+    rate: Annotated[float | None, typer.Option()] = None,
+) -> None:
+    """Paint."""
+    print((str(folder), num_points, colour.value, tries, as_json, shiny, rate))
+
+
+@commands.command()
+def other() -> None:
+    """Another."""
+
+
+def run(*arguments, code=0):
+    done = CliRunner().invoke(commands, [str(a) for a in arguments])
+    assert done.exit_code == code, done.output
+    return " ".join(done.output.replace("│", " ").split())
+
+
+def test_a_file_has_the_options_by_their_names_and_the_command_line_goes_before_it(tmp_path):
+    file = tmp_path / "paint.toml"
+    file.write_text(
+        'folder = "wall"\nnum-points = 7\ncolour = "blue"\ntry = ["a", "b"]\njson = true\n'
+        "shiny = true\nrate = 0.5\n"
+    )
+    everything = "('wall', 7, 'blue', ['a', 'b'], True, True, 0.5)"
+    assert run("paint", "--config", file) == everything
+    assert run("paint", "fence", "--config", file, "--num-points", 9, "--no-shiny") == (
+        "('fence', 9, 'blue', ['a', 'b'], True, False, 0.5)"
+    )
+    file.write_text('num_points = 8\ntry = "one"\n[paint]\nfolder = "door"\n[other]\n')
+    assert run("paint", "--config", file) == "('door', 8, 'red', ['one'], False, False, None)"
+
+
+def test_what_was_given_is_saved_and_read_back(tmp_path):
+    file, again = tmp_path / "a.toml", tmp_path / "b.toml"
+    given = ("--num-points", 5, "--try", 'x="1,2"', "--try", "é\\", "--colour", "blue", "--json")
+    first = run("paint", "my wall", *given, "--rate", "1e-3", "--save-config", file)
+    saved = tomllib.loads(file.read_text())
+    assert saved == {
+        "folder": "my wall", "num-points": 5, "try": ['x="1,2"', "é\\"], "colour": "blue",
+        "json": True, "rate": 0.001,
+    }  # fmt: skip
+    assert run("paint", "--config", file, "--save-config", again) == first
+    assert tomllib.loads(again.read_text()) == saved
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("num_pionts = 3", "paint has no option 'num_pionts'; did you mean num-points?"),
+        ("num-points = 'many'", "integer"),
+        ("num-points = [1, 2]", "num-points takes one value, got [1, 2]"),
+        ("colour = 'green'", "green"),
+        ("x =", "is no TOML file"),
+        ("[pant]\nnum-points = 1", "has no table [paint]; did you mean pant?"),
+        ("config = 'x'", "has no option 'config'"),
+    ],
+)
+def test_a_wrong_file_is_wrong_usage(tmp_path, content, message):
+    file = tmp_path / "c.toml"
+    file.write_text(content)
+    assert message in run("paint", "wall", "--config", file, code=2)
+    assert "cannot be read" in run("paint", "wall", "--config", tmp_path / "absent.toml", code=2)
+
+
+def walk(command, name=""):
+    inner = getattr(command, "commands", None)
+    if inner is None:
+        yield name, command
+    else:
+        for word, one in inner.items():
+            yield from walk(one, f"{name} {word}".strip())
+
+
+def test_every_command_takes_one():
+    found = dict(walk(typer.main.get_command(app)))
+    assert {"render", "eval", "campaign run", "export", "doctor"} <= found.keys()
+    for name, command in found.items():
+        options = {option for parameter in command.params for option in parameter.opts}
+        assert {"--config", "--save-config"} <= options, name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["rendr"], "error: No such command 'rendr'"),
+        (["render", "pm99", "--out", "x"], "error: Invalid value for 'data_set'"),
+        (["verify"], "error: Missing argument"),
+        (["export", "absent", "--to", "parquet", "--out", "x"],
+         "error: absent is not a data folder: it has no manifest.json."),
+    ],
+)  # fmt: skip
+def test_an_error_is_one_line_in_a_pipe(tmp_path, arguments, message):
+    done = subprocess.run(
+        [sys.executable, "-m", "partialbench.cli", *arguments],
+        capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == (1 if arguments[0] == "export" else 2)
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert message in line
+
+
+def test_help_has_a_short_name_and_a_heading_for_each_stage():
+    done = CliRunner().invoke(app, ["-h"])
+    assert done.exit_code == 0
+    for words in ("Data", "Models", "Tables", "For others", "--install-completion"):
+        assert words in done.output
