@@ -13,8 +13,8 @@ The paper compares with this pair but releases no code for it. Ours: k = 32 neig
 layer 4-64 and the maximum over neighbours make a point's feature; PointNet++ (SSG) samples and
 groups by coordinates but sees these features alone, in its last level too. Everything chosen by
 coordinates is independent of the pose: sampling starts at the point farthest from the centroid and
-balls keep their nearest points. RRI's own discontinuities are ramps (``RAMP``, ``FADE``; longer by
-``--option ramp=0.2``). What remains is rounding: where two distances agree to the last digits, a
+balls keep their nearest points. RRI's own discontinuities are ramps (``RAMP``, ``FADE``; shorter by
+``--option ramp=0.02``). What remains is rounding: where two distances agree to the last digits, a
 turned cloud may choose the other.
 """
 
@@ -42,14 +42,14 @@ NEIGHBOURS = 32
 WIDTH = 64
 LARGEST = math.pi / 2
 """Radians; larger φ, of neighbourhoods open to one side, count as this."""
-RAMP = 0.02
+RAMP = 0.2
 """Radians. As defined, φ_ik jumps where a neighbour's direction passes another's: ψ = 0 turns into
 2π and the least angle into the gap to the next. Equal directions are common (symmetric shapes,
 repeated points), and rounding would decide. Here a follower nearer than the ramp counts as
 ψ + LARGEST·(1 − ψ/ramp), which is LARGEST on both sides of ψ = 0: φ is continuous, and as defined
-where no two directions are that near. The gaps between 32 directions average 2π/32 = 0.196: a ramp
-of a tenth of that leaves most φ as they are (the model's card says how many). A longer one, 0.2 in
-earlier versions, is less steep, so that rounding moves φ less, and far from the definition."""
+where no two directions are that near. Of 32 neighbours most are: the gaps between their directions
+average 2π/32 = 0.196 (the model's card says what becomes of φ). With a shorter ramp φ is nearer to
+its definition and steeper where directions meet, so that rounding moves it more."""
 FADE = 0.5
 """Share of the ramp that is the length below which a direction fades out: of p_i near the centroid,
 of a neighbour across p̂_i when it is in line with it. Their angles would be rounding alone."""
@@ -123,10 +123,7 @@ class RRIPointNet2(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k → logits (B,K)."""
-        # In double precision: the ramp is steep, and rounding is to move no angle.
-        precise = normalise(points.double())
-        points = precise.to(full_precision(points).dtype)
-        invariant = rri(precise, self.k, self.ramp).to(points.dtype)
-        features = F.relu_(self.embed.max(invariant))
+        points = normalise(points)
+        features = F.relu_(self.embed.max(rri(points, self.k, self.ramp)))
         start = farthest_from_centre(points)
         return Prediction(self.classifier.classify(points, features, start))

@@ -37,6 +37,9 @@ from partialbench.geometry.symmetry import symmetry_of
 CANONICAL_PLACE = np.array([0.0, 0.0, 3.5])
 """Where an object is that no camera places: at the middle of the paper's depths."""
 
+ALIGNED_POSE = (np.eye(3), CANONICAL_PLACE)
+"""The pose of the setting "aligned"."""
+
 LEAST_VISIBLE = 16
 """Distinct points that a view shows at least, by default: fewer tell nothing of a shape."""
 
@@ -209,7 +212,7 @@ def _poses(
 def _canonical(job: Job, key: tuple[str | int, ...]) -> tuple[NDArray, NDArray]:
     """The pose of a setting with the object's axes: canonical, or turned about the object's z."""
     if SETTINGS[job.setting].turns == "none":
-        return np.eye(3), CANONICAL_PLACE
+        return ALIGNED_POSE
     angle = generator(job.seed, *key, "turn").uniform(0, 2 * np.pi)
     return portable.axis_rotation("z", angle), CANONICAL_PLACE
 
