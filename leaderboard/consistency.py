@@ -72,7 +72,11 @@ def own_faults(result: Result) -> Iterator[str]:
             if named != (result.damage,):
                 yield f"{result.damage!r} is not one damage of one strength"
     yield from _curve_faults(training, plan.clouds_seen)
-    changed = _changed(result)
+    try:
+        changed = _changed(result)
+    except InputError as error:
+        yield f"nothing tells what was changed about its row: {error}"
+        return
     if changed != result.variant:
         yield (
             f"its row is {result.row}, but by its options, recipe, start and precision it is "
