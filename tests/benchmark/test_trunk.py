@@ -83,7 +83,11 @@ def assert_same(folder: Path, other: Path, clouds: int) -> None:
     answers = [
         to_bytes(
             evaluate.predict_rows(
-                checkpoint.build_model(c), dataset, np.arange(20), 3, torch.device("cpu")
+                checkpoint.build_model(c, c["model"]),
+                dataset,
+                np.arange(20),
+                dataset.class_names,
+                torch.device("cpu"),
             )
         )
         for c in (a, b)
