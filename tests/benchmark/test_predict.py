@@ -67,12 +67,12 @@ def test_a_depth_image_is_the_cloud_it_was_made_from(weights, tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.xyz", "1 2 3\n4 x 6\n", "cannot be read"),
+        ("a.xyz", "1 2 3\n4 x 6\n", "is no number"),
         ("a.xyz", "1 2 3\n4 5 6\n", "2 finite points, at least 16"),
         ("a.xyz", "nan nan nan\n" * 20, "0 finite points"),
         ("a.xyz", "1 2\n" * 20, r"expected an \(n,3\) cloud with n ≥ 1, got \(20, 2\)"),
         ("a.obj", "v 0 0 0", r"\.obj is not read; give a cloud \(\.ply, .* or a depth image"),
-        ("a.ply", "ply", "cannot be read"),
+        ("a.ply", "ply", "expected a line that says ply"),
         ("a.ply", "ply\nformat ascii 1.0\nelement vertex 30\nproperty float x\nproperty float y\n"
          "property float z\nend_header\n" + "0 0 1\n" * 20, "cut short: .* 30 vertex lines, 20"),
         ("a.png", "no image", "cannot be read"),
