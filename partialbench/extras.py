@@ -21,6 +21,7 @@ EXTRAS: dict[str, tuple[str, ...]] = {
     "export": ("pyarrow", "PIL"),
     "cluster": ("distributed", "dask"),
     "log": ("tensorboard",),
+    "stereo": ("cv2",),
 }
 """Extra → the libraries, by the names they are imported by, that only it brings."""
 

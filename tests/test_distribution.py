@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 IMPORTED_AS = {
     "mapbox-earcut": "mapbox_earcut", "dracopy": "DracoPy", "pillow": "PIL", "open3d-cpu": "open3d",
+    "opencv-python-headless": "cv2",
 }  # fmt: skip
 
 
