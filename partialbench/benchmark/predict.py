@@ -253,6 +253,8 @@ def find_checkpoint(path: Path) -> Path:
     """The checkpoint that a file, a run's folder or a folder of results with one run means."""
     if not path.is_dir():
         return path
+    if (path / "checkpoint.pt").is_file():  # a milestone's own folder
+        return path / "checkpoint.pt"
     found = [
         _furthest(run)
         for pattern in (".", "*", "runs/*")

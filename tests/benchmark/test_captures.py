@@ -20,7 +20,7 @@ MODEL = f"{MODELS}:Posed"
 
 @pytest.fixture(scope="module")
 def weights(done):
-    return next((done[1] / "runs").glob("*seed0")) / "checkpoint.pt"
+    return next((done[1] / "runs").glob("*seed0/branch-64/checkpoint.pt"))
 
 
 def test_a_chair_far_away_stays_a_chair(weights, tmp_path, rng):
@@ -86,9 +86,10 @@ def test_an_array_of_more_columns_is_a_cloud_and_says_so(tmp_path, rng, caplog):
 
 
 def test_a_run_or_a_folder_of_results_stands_for_its_checkpoint(weights, tmp_path):
-    assert find_checkpoint(weights.parent) == find_checkpoint(weights) == weights
+    run = weights.parents[1]
+    assert find_checkpoint(run) == find_checkpoint(weights.parent) == find_checkpoint(weights)
     with pytest.raises(InputError, match="has 2 runs, give the folder of one: "):
-        find_checkpoint(weights.parents[2])
+        find_checkpoint(weights.parents[3])
     with pytest.raises(InputError, match="no checkpoint in"):
         find_checkpoint(tmp_path)
     assert Classifier(weights.parent, "auto", MODEL).device.type in ("cpu", "cuda")

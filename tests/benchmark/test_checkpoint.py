@@ -23,7 +23,7 @@ MODEL = f"{MODELS}:Posed"
 
 @pytest.fixture(scope="module")
 def weights(done) -> Path:
-    return next((done[1] / "runs").glob("*seed0")) / "checkpoint.pt"
+    return next((done[1] / "runs").glob("*seed0/branch-64/checkpoint.pt"))
 
 
 @pytest.fixture(scope="module")
