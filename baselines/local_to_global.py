@@ -307,7 +307,10 @@ class LocalToGlobal(nn.Module):
         """(B,N,3) clouds in the camera frame, N > k, and their normals (B,N,3) → logits (B,K)."""
         geometry = self.geometry(points, normals)
         trunk = self.trunk if self.training else partial(functional_call, self.trunk, self._state())
-        features, near, place = trunk(geometry)
+        # Autocast would mix eight bits into what evaluation does in double.
+        autocast = torch.is_autocast_enabled(points.device.type) and self.training
+        with torch.autocast(points.device.type, enabled=autocast):
+            features, near, place = trunk(geometry)
         dtype = self.conv.norm.weight.dtype
         f = features[-1].to(dtype)
         place = F.leaky_relu(self.place(place.to(dtype)), SLOPE)

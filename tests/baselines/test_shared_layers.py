@@ -108,7 +108,7 @@ class TestLayers:
         assert check(shared_mlp._Moments.apply, (values(9, 3), 9, None))
         assert check(shared_mlp._Moments.apply, (values(9, 3), int(weight.sum()), weight))
         assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
-        assert check(edges._EdgeMoments.apply, (values(7, 3), values(5, 3), index))
+        assert check(edges._EdgeMoments.apply, (values(1, 7, 3), values(1, 5, 3), index))
         centre = torch.arange(5).repeat_interleave(4)
         assert check(edges._EdgeReLU.apply, (values(7, 3), values(5, 3), index.flatten(), centre))
         assert check(edges._NeighbourMax.apply, (values(7, 3), index))

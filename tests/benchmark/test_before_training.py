@@ -175,7 +175,9 @@ def test_one_process_holds_a_training(tmp_path):
     assert other.stdout is not None
     assert other.stdout.readline() == "held\n"
     with (
-        pytest.raises(InUseError, match=f"working on {folder} .process {other.pid} on .*--resume"),
+        pytest.raises(
+            InUseError, match=f"working on {folder} .process {other.pid} on .*; wait for it"
+        ),
         hold(folder),
     ):
         pass

@@ -47,7 +47,7 @@ def test_a_row_and_a_record_of_their_own(data, weights, tmp_path):
     (record,) = tune(data, weights, tmp_path)
     before = checkpoint.load(weights)
     origin = record.training["start"]
-    assert record.variant == f"start={origin['name']}"
+    assert record.variant == f"start {origin['name']}"
     assert origin["name"].startswith("toy:")
     assert (origin["seed"], origin["clouds_seen"], origin["start"]) == (1, 64, None)
     assert origin["train_data"]["digest"] == before["train_data"]["digest"]
@@ -109,8 +109,9 @@ def test_what_is_no_start(data, weights, tmp_path):
         tune(data, weights, tmp_path, split_seed=3)
     unfinished = tmp_path / "unfinished.pt"
     content = checkpoint.load(weights)
+    identity = {name: content.pop(name) for name in checkpoint.IDENTITY}
     del content["summary"]
-    torch.save(content, unfinished)
+    checkpoint.save(unfinished, identity, content)
     with pytest.raises(InputError, match="is not a finished training and cannot be the start"):
         tune(data, unfinished, tmp_path)
 
