@@ -1,4 +1,4 @@
-"""What the checks of an evaluation cost: the trial before the first step, hashing, the audits' guards.
+"""What the checks of an evaluation cost: the trial before the first step, hashing, the guards.
 
     python -m benchmarks.checks --data DIR [--model pointnet] [--clouds 2k]
 
@@ -69,9 +69,7 @@ def main() -> None:
         clock.watch(owner, name)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        run_eval(
-            arguments.model, arguments.data, clouds=[arguments.clouds], results_folder=folder
-        )
+        run_eval(arguments.model, arguments.data, clouds=[arguments.clouds], results_folder=folder)
     total = time.process_time() - start
     training = clock.seconds.pop("Loop.advance")
     checks = sum(clock.seconds.values())
