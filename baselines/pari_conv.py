@@ -39,7 +39,7 @@ POSE = 8
 
 
 class PoseAwareConv(nn.Module):
-    """h_ij = ReLU(BN(K(pose_ij) ⊙ W·f_j)), then an edge layer on [h_ij − f_i, f_i], and the maximum.
+    """h_ij = ReLU(BN(K(pose_ij) ⊙ W·f_j)), an edge layer on [h_ij − f_i, f_i] and the maximum.
 
     K is a small network, so that the kernel of an edge is a product of one basis W and of as many
     factors as channels, not a matrix an edge.
