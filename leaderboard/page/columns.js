@@ -32,18 +32,19 @@ const COLUMNS = [
   { id: "minutes", title: "training (min)", value: row => row.minutes, best: "low", show: row => row.minutes.toFixed(row.minutes < 10 ? 1 : 0), help: "Time of one seed's training, on the hardware in the record." },
   { id: "seen", title: "clouds seen", value: row => row.seen, best: "low", show: row => engineering(row.seen), help: "Training clouds seen, repeats counted; with those of the trainings it began from." },
   { id: "seeds", title: "seeds", value: row => row.seeds, best: "high", show: row => row.seeds, help: "Trainings behind the row. A row of one seed speaks of one network, not of a method." },
+  { id: "date", title: "tested", value: row => row.date, best: "high", text: true, show: row => row.date || dash, help: "The day, in UTC, on which the last of its seeds was tested." },
   { id: "input", title: "input", value: row => row.input, best: "low", text: true, show: row => row.input, help: "What the network saw in this run." },
   { id: "groups", title: "group", value: row => row.groups, best: "low", text: true, show: row => row.groups, help: "Rows that share a number cannot be told apart." },
   { id: "paper", title: "paper's figure", value: row => row.paper, best: "high", show: row => percent(row.paper), help: "What the paper reports for this method, on its own data; the heading says where ours are other data." },
 ];
 
 const DEFAULT = {
-  partial: "rank model accuracy behind pose claims turned parameters seen seeds",
-  pose: "rank model accuracy pose top5 pose_error within30 claims turned seeds",
-  cost: "rank model accuracy parameters macs ms memory minutes seen seeds",
+  partial: "rank model accuracy behind pose claims turned parameters seen seeds date",
+  pose: "rank model accuracy pose top5 pose_error within30 claims turned seeds date",
+  cost: "rank model accuracy parameters macs ms memory minutes seen seeds date",
 };
 DEFAULT.complete = DEFAULT.noise = DEFAULT.partial;
-DEFAULT.transfer = "rank model accuracy behind shared pose claims turned parameters seen seeds";
+DEFAULT.transfer = "rank model accuracy behind shared pose claims turned parameters seen seeds date";
 
 // Those chosen that have something to say: a column of dashes is left out unless it was asked for.
 function shownColumns(column) {

@@ -18,6 +18,7 @@ from leaderboard.tables.curves import Family
 from leaderboard.tables.given import GivenPoses, heading
 from leaderboard.tables.layouts import Layout
 from leaderboard.tables.settings import Loss, compared_rows
+from leaderboard.tables.viewpoints import Curves
 from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
 from partialbench.benchmark.protocol import milestones
 from partialbench.dataset.loader import ShardDataset
@@ -30,6 +31,7 @@ class Found:
     Attributes:
         comparisons, galleries: one for each column of the board.
         settings: each family of settings with its losses.
+        views: accuracy and pose error over what a view shows.
         layouts: tables as text, shown behind a click.
         data: test splits that the galleries' clouds are of.
     """
@@ -39,6 +41,7 @@ class Found:
     settings: list[tuple[dict[str, Column], dict[str, list[Loss]]]]
     families: list[Family]
     given: list[GivenPoses]
+    views: list[Curves]
     layouts: list[Layout]
     galleries: list[list[Sample]]
     data: list[ShardDataset]
@@ -78,6 +81,7 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
                 "conditions": [
                     condition_data(family) for family in found.families if family.column is column
                 ],
+                "views": [view_data(curves) for curves in found.views if curves.column is column],
                 "samples": [
                     {"cloud": sample.cloud, "answers": sample.answers} for sample in gallery
                 ],
@@ -122,7 +126,7 @@ def kind(column: Column) -> str:
     """Which tab a column is on: "partial", "complete" or "transfer"."""
     if column.key[:2] != column.key[3:5]:
         return "transfer"
-    return "partial" if column.key[1] == "partial" else "complete"
+    return "partial" if column.key[1].partition(",")[0] == "partial" else "complete"
 
 
 def _short_group(column: Column) -> str:
@@ -188,6 +192,21 @@ def condition_data(family: Family) -> dict[str, Any]:
             for name, points in family.curves.items()
         ],
     }
+
+
+def view_data(curves: Curves) -> dict[str, Any]:
+    """Row → for each bin [middle, clouds, accuracy, low, high, pose error, low, high]."""
+    return {
+        "quantity": curves.quantity,
+        "rows": {
+            name: [
+                _finite(((p.start + p.end) / 2, p.clouds, p.accuracy, p.low, p.high,
+                         p.pose_deg, p.pose_low, p.pose_high))
+                for p in places
+            ]
+            for name, places in curves.rows.items()
+        },
+    }  # fmt: skip
 
 
 def _curve_data(curves: dict[str, list[Seen]]) -> dict[str, Any]:

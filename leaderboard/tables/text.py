@@ -52,6 +52,9 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
         if posed:
             head += ["pose bin", "pose error"]
         head += ["turned", "parameters", "multiply-adds", "ms a cloud", "training", "seeds"]
+        dated = any(cell.date for cell in column.cells.values())
+        if dated:
+            head.append("date")
         if column.reported:
             head.append(reported_head(column))
         lines = [head]
@@ -84,6 +87,8 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
                 budget(result),
                 networks(cell),
             ]
+            if dated:
+                line.append(cell.date or "–")
             if column.reported:
                 line.append(reported(column, result))
             lines.append(line)
@@ -132,7 +137,7 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
          "restricted_accuracy", "calibration_error", "pose_top1", "pose_top5", "pose_median_deg",
          "pose_within_30", "rotation_drift", "parameters", "multiply_adds", "latency_ms",
          "batch_ms", "train_clouds_seen", "train_seconds", "train_clouds_per_second",
-         "peak_memory_bytes", "paper_reported", "paper_reported_other_data"]
+         "peak_memory_bytes", "paper_reported", "paper_reported_other_data", "date"]
     )  # fmt: skip
     for column, comparison in zip(board, comparisons, strict=True):
         for name in ranked(column):
@@ -156,7 +161,7 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 cell.cost["multiply_adds"], cell.cost["latency_ms"], cell.cost["batch_ms"],
                 first.training["clouds_seen"], first.training["seconds"],
                 first.training["clouds_per_second"], cell.cost["peak_memory_bytes"],
-                *((paper, None) if column.on_paper_data else (None, paper)),
+                *((paper, None) if column.on_paper_data else (None, paper)), cell.date,
             ]  # fmt: skip
             writer.writerow(
                 [

@@ -90,7 +90,9 @@ def run(
         finally:
             runner.forget()
         if campaign.board is not None and any(campaign.results.glob("*.result.json")):
-            for path in registry.load(registry.LEADERBOARD)(campaign.results, campaign.board):
+            make = registry.load(registry.LEADERBOARD)
+            look_in = dict.fromkeys(data.folder.parent for data in campaign.data.values())
+            for path in make(campaign.results, campaign.board, look_in=list(look_in)):
                 log.info("wrote %s", path)
         if runner.unrendered:
             raise PartialbenchError(

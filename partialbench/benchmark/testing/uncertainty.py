@@ -85,6 +85,33 @@ def bootstrap_means(
     return np.concatenate(chunks)
 
 
+def median_interval(
+    values: NDArray, object_ids: NDArray, confidence: float = 0.95, seed: int = 0
+) -> tuple[float, float]:
+    """Percentile interval of the median over clouds, objects resampled as in
+    ``bootstrap_intervals``; NaN with a single object.
+
+    Args:
+        values: (M,) per cloud. object_ids: (M,).
+    """
+    values, object_ids = np.asarray(values, np.float64), np.asarray(object_ids)
+    names, which = np.unique(object_ids, return_inverse=True)
+    if len(names) < 2:
+        return np.nan, np.nan
+    order = np.argsort(values, kind="stable")
+    medians = []
+    for start in range(0, RESAMPLES, _CHUNK):
+        times = _draws(len(names), RESAMPLES, seed)[start : start + _CHUNK, which[order]]
+        so_far = np.cumsum(times, axis=1, dtype=np.int32)
+        # The clouds at the two middle places of those drawn; one where their number is odd.
+        total = so_far[:, -1:]
+        lower = np.argmax(so_far > (total - 1) // 2, axis=1)
+        upper = np.argmax(so_far > total // 2, axis=1)
+        medians.append((values[order][lower] + values[order][upper]) / 2)
+    low, high = _bounds(np.concatenate(medians), confidence)
+    return float(low), float(high)
+
+
 @functools.lru_cache(maxsize=4)
 def _draws(n: int, resamples: int, seed: int) -> NDArray[np.int16]:
     """(resamples,n) how often each object is drawn. One test set is resampled for many tables."""
