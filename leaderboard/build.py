@@ -13,7 +13,7 @@ from leaderboard.comparison import compare
 from leaderboard.output import write_board
 from leaderboard.page import clouds, html
 from leaderboard.page.content import Found
-from leaderboard.tables import curves, damages, given, grid, latex, viewpoints
+from leaderboard.tables import curves, damages, given, grid, latex, not_yet, viewpoints
 from leaderboard.tables import text as tables
 from leaderboard.tables.agreement import rank_agreement
 from leaderboard.tables.layouts import layouts
@@ -22,7 +22,7 @@ from leaderboard.tables.settings import as_layout, losses, setting_families
 from leaderboard.tables.transductive import transductive_layouts
 from leaderboard.tables.transfer import transfer_layouts
 from leaderboard.tables.tuning import tuning_layouts
-from partialbench.benchmark.records import results, testsets
+from partialbench.benchmark.records import declared, results, testsets
 from partialbench.errors import InputError
 
 PAGE = "leaderboard.html"
@@ -117,6 +117,8 @@ def board_files(
         steps.next()
     views = viewpoints.find_curves(board, folder, cameras)
     steps.next()
+    campaigns = declared.read_folder(folder)
+    asked = [not_yet.asked_rows(column, campaigns) for column in board]
     laid_out = [
         *layouts(board, comparisons),
         *(as_layout(family, lost) for family, lost in settings),
@@ -129,19 +131,23 @@ def board_files(
         *rank_agreement(board),
         *map(curves.as_layout, families),
         *tuning_layouts(folder, records, board),
+        *not_yet.progress(board, campaigns),
     ]
     found = Found(
-        board, comparisons, settings, families, given_poses, views, laid_out, galleries, shown
-    )
+        board, comparisons, settings, families, given_poses, views, asked, laid_out, galleries,
+        shown,
+    )  # fmt: skip
     contents = {
         PAGE: html.as_html(found, folder).encode(),
-        "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
+        "leaderboard.md": tables.as_markdown(board, comparisons, laid_out, asked).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
         "differences.csv": tables.differences_as_csv(board, comparisons).encode(),
         "curves.csv": tables.curves_as_csv(families, given_poses).encode(),
         "viewpoints.csv": viewpoints.as_csv(views).encode(),
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
     }
+    if campaigns:
+        contents["not_yet.csv"] = not_yet.as_csv(board, campaigns).encode()
     if with_figures:
         from leaderboard.figures import draw as figures  # Matplotlib takes its time to load
 

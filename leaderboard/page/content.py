@@ -17,6 +17,7 @@ from leaderboard.scaling import FAR, Seen, extrapolate, group, learning_curves
 from leaderboard.tables.curves import Family
 from leaderboard.tables.given import GivenPoses, heading
 from leaderboard.tables.layouts import Layout
+from leaderboard.tables.not_yet import Asked, absent
 from leaderboard.tables.settings import Loss, compared_rows
 from leaderboard.tables.viewpoints import Curves
 from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
@@ -29,7 +30,7 @@ class Found:
     """What was found in a folder of records, all that the page is made from.
 
     Attributes:
-        comparisons, galleries: one for each column of the board.
+        comparisons, asked, galleries: one for each column of the board.
         settings: each family of settings with its losses.
         views: accuracy and pose error over what a view shows.
         layouts: tables as text, shown behind a click.
@@ -42,6 +43,7 @@ class Found:
     families: list[Family]
     given: list[GivenPoses]
     views: list[Curves]
+    asked: list[list[Asked]]
     layouts: list[Layout]
     galleries: list[list[Sample]]
     data: list[ShardDataset]
@@ -52,8 +54,8 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
     curves = learning_curves(found.board, found.comparisons)
     cards: dict[str, Any] = {}
     columns = []
-    for column, comparison, gallery in zip(
-        found.board, found.comparisons, found.galleries, strict=True
+    for column, comparison, asked, gallery in zip(
+        found.board, found.comparisons, found.asked, found.galleries, strict=True
     ):
         for cell in column.cells.values():
             cards.setdefault(cell.results[0].model, rows.card(cell.results[0]))
@@ -82,6 +84,11 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
                     condition_data(family) for family in found.families if family.column is column
                 ],
                 "views": [view_data(curves) for curves in found.views if curves.column is column],
+                "asked": {each.name: len(each.seeds) for each in asked},
+                "absent": [
+                    {"id": each.name, "title": each.title, "state": each.state}
+                    for each in absent(asked)
+                ],
                 "samples": [
                     {"cloud": sample.cloud, "answers": sample.answers} for sample in gallery
                 ],

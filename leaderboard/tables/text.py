@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Sequence
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.tables.curves import Family
 from leaderboard.tables.given import GivenPoses
 from leaderboard.tables.layouts import Layout
+from leaderboard.tables.not_yet import Asked, sentence
 from leaderboard.tables.plain import csv_cell, markdown
 from leaderboard.words import (
     budget,
@@ -31,13 +33,18 @@ from leaderboard.words import (
 )
 
 
-def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: list[Layout]) -> str:
+def as_markdown(
+    board: list[Column],
+    comparisons: list[Comparison],
+    layouts: list[Layout],
+    asked: Sequence[Sequence[Asked]],
+) -> str:
     """One table for each column, best row first, with the paper's figure where it has one.
 
-    The paper's own tables follow.
+    Below it what is asked for there and is not there yet. The paper's own tables follow.
     """
     parts = ["# Leaderboard\n"]
-    for column, comparison in zip(board, comparisons, strict=True):
+    for column, comparison, of_column in zip(board, comparisons, asked, strict=True):
         parts += [f"## {markdown(column.title)}\n", markdown(describe(column)) + "\n"]
         head = ["model", "input", "accuracy", "95 % interval", "group", "behind the first"]
         names = ranked(column)
@@ -93,6 +100,8 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
                 line.append(reported(column, result))
             lines.append(line)
         parts += [*_as_lines(lines), ""]
+        if told := sentence(of_column):
+            parts += [markdown(told), ""]
     parts += map(layout_as_markdown, layouts)
     parts.append(LEGEND)
     return "\n".join(parts)

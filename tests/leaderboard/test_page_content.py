@@ -145,7 +145,7 @@ def test_boards_of_one_record_and_of_none_make_sense(tmp_path):
     (column,) = data_of(page)["columns"]
     assert column["facts"][0].endswith("it is the only model tested here.")
     assert column["rows"][0]["rank"] == 1
-    empty = content(Found([], [], [], [], [], [], [], [], []), tmp_path)
+    empty = content(Found([], [], [], [], [], [], [], [], [], []), tmp_path)
     assert empty["columns"] == []
     assert "Add a row" in html.render(empty)
 

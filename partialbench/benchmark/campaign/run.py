@@ -19,6 +19,7 @@ from typing import Any
 
 from partialbench import registry
 from partialbench.benchmark.campaign import jobs as job_files
+from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.file import Campaign, DataSet
 from partialbench.benchmark.campaign.jobs import FAILURES, Job, Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
@@ -163,7 +164,7 @@ class _Runner:
 
     def work(self, executor: Executor, width: int) -> bool:
         """Runs jobs until none is missing (True) or the time is over (False)."""
-        stopped, state = False, status(self.campaign)
+        stopped, state = False, declare(self.campaign)
         try:
             while True:
                 if not self.is_over() and not stopped:
@@ -177,7 +178,7 @@ class _Runner:
                 for future in done:
                     stopped |= self._end(future)
                 if done:
-                    state = status(self.campaign)
+                    state = declare(self.campaign)
                     self.say(f"{len(state.missing)} jobs, {state.hours:.1f} core hours to go")
         except BaseException:
             # Ctrl-C and whatever else: what runs saves its state first.
