@@ -20,7 +20,14 @@ from leaderboard.tables.layouts import Layout
 from leaderboard.tables.not_yet import Asked, absent
 from leaderboard.tables.settings import Loss, compared_rows
 from leaderboard.tables.viewpoints import Curves
-from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
+from leaderboard.words import (
+    crosses,
+    data_words,
+    describe,
+    duplicates,
+    reported_head,
+    row_title,
+)
 from partialbench.benchmark.protocol import milestones
 from partialbench.dataset.loader import ShardDataset
 
@@ -76,8 +83,11 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
                 "crossed": crosses(column),
                 "duplicates": duplicates(column),
                 "reported": reported_head(column) if column.reported else "",
+                "on_paper_data": column.on_paper_data,
+                "what": data_words(column),
                 "rows": lines,
                 "facts": facts.sentences(column, lines, steps, given),
+                "cost": facts.cost(lines),
                 "settings": steps,
                 "given": given,
                 "conditions": [

@@ -77,17 +77,17 @@ def _reason(declared: Sequence[Declared], state: str) -> str:
 
 
 def sentence(asked: Sequence[Asked]) -> str:
-    """ "Not yet: A, B. Failed: C (the loss became nan)." of the rows that are not there."""
+    """ "Not yet: A; B. Failed: C (the loss became nan)." of the rows that are not there."""
     missing = absent(asked)
     plain = [each.title for each in missing if each.state == "not yet"]
-    parts = [f"Not yet: {', '.join(plain)}."] if plain else []
+    parts = [f"Not yet: {'; '.join(plain)}."] if plain else []
     for word, reason in (("Failed", "failed"), ("Waits", "waiting")):
         # What several have in common is said once.
         alike: dict[str, list[str]] = defaultdict(list)
         for each in missing:
             if each.state.startswith(word.lower()):
                 alike[visible(getattr(each, reason))].append(each.title)
-        parts += [f"{word}: {', '.join(titles)} ({why})." for why, titles in alike.items()]
+        parts += [f"{word}: {'; '.join(titles)} ({why})." for why, titles in alike.items()]
     return " ".join(parts)
 
 

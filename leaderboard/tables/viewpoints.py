@@ -33,7 +33,7 @@ EDGES: dict[str, tuple[float, ...]] = {
 }
 """Quantity → the bounds of its bins: a share; object units, an object's radius being 1; degrees of
 the camera above the object's horizon."""
-LEAST = 10
+LEAST = 20
 """Clouds that a bin needs to be told of."""
 
 

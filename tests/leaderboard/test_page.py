@@ -134,6 +134,8 @@ def test_what_is_shown_survives_a_reload_and_the_back_button(page):
 def test_a_row_opens_to_its_card_its_command_and_its_classes(page):
     page.get_by_role("button", name="GOOD", exact=True).click()
     detail = page.locator("tr.detail")
+    for summary in detail.locator(".fold summary").all():
+        summary.click()
     text = detail.inner_text()
     assert "Somebody et al., 2021" in text
     assert "a choice with <b> & ünïcode" in text
@@ -259,5 +261,9 @@ def test_axe_finds_no_serious_fault(page):
 
 
 def test_the_papers_figures_say_that_they_are_on_other_data(page):
-    heads = page.locator("#table th .sort").all_inner_texts()
+    heads = page.locator("#table th .sort")
+    assert not [head for head in heads.all_inner_texts() if head.startswith("paper")]
+    page.locator(".picker summary").click()
+    page.get_by_role("checkbox", name="paper's figure").check()
+    heads = heads.all_inner_texts()
     assert "paper, PM40 (reported, other data)" in heads

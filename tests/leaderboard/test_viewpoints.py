@@ -63,14 +63,14 @@ def test_a_camera_above_has_a_positive_elevation(folder):
 
 
 def test_bins_hold_what_lies_in_them():
-    values = np.repeat([0.05, 0.15, 1.0], [12, 5, 20])
+    values = np.repeat([0.05, 0.15, 1.0], [24, 5, 20])
     right = np.where(values < 0.1, 0.25, 1.0)
     ids = np.arange(len(values)).astype(str)
     posed, plain = curves_over(
         values, np.stack([right, 0.5 * right], axis=1), ids, EDGES[FRACTION], [100 * values, None]
     )
     first, last = posed
-    assert (first.start, first.end, first.clouds, first.accuracy) == (0.0, 0.1, 12, 0.25)
+    assert (first.start, first.end, first.clouds, first.accuracy) == (0.0, 0.1, 24, 0.25)
     assert (first.pose_deg, first.pose_low, first.pose_high) == pytest.approx((5, 5, 5))
     assert (last.start, last.end, last.clouds, last.accuracy) == (0.6, 1.0, 20, 1.0)
     assert [place.accuracy for place in plain] == [0.125, 0.5]
@@ -94,5 +94,5 @@ def test_every_quantity_that_is_known_has_curves(folder):
     lines = list(csv.DictReader(as_csv(found).splitlines()))
     assert len(lines) == sum(len(places) for each in found for places in each.rows.values())
     elevation = [line for line in lines if line["quantity"] == ELEVATION]
-    assert (elevation[0]["from"], elevation[0]["to"]) == ("-90", "-60")
+    assert (elevation[0]["from"], elevation[0]["to"]) == ("-60", "-30")
     assert {line["pose_median_deg"] for line in lines if line["row"] == "plain"} == {""}
