@@ -45,9 +45,11 @@ function logTicks(low, high) {
 // of colour and mark: a model's place in the table, so that it looks alike in every figure.
 // Returns a figure with its legend, or null where there is too little to draw.
 function lineChart({ caption, series, x, y, width, lines = true, apart = 0 }) {
-  const drawn = series.filter(each => each.points.length).map((each, i) => ({ key: i, ...each }))
-    .filter(each => each.key < MOST_LINES);
-  const left = series.filter(each => each.points.length).length - drawn.length;
+  const there = series.filter(each => each.points.length).map((each, i) => ({ key: i, ...each }));
+  // Rows far down the table take the looks that are free here.
+  const far = there.some(each => each.key >= MOST_LINES);
+  const drawn = there.slice(0, MOST_LINES).map((each, i) => (far ? { ...each, key: i } : each));
+  const left = there.length - drawn.length;
   const all = drawn.flatMap(each => [...each.points, ...(each.far ? [[each.far.x, each.far.y, each.far.low, each.far.high]] : [])]);
   if (all.length < FEWEST_MARKS) return null;
   const W = Math.max(280, Math.min(width, 620)), H = Math.round(W * 0.52), box = { l: 46, r: 14, t: 10, b: 40 };

@@ -8,7 +8,7 @@ const COLUMNS = [
   { id: "model", title: "model", value: row => row.title.toLowerCase(), best: "low", text: true,
     help: "One row a model, as its card declares it; what was changed about a variant stands in brackets. Opens to its card, its command, its curves." },
   { id: "accuracy", title: "accuracy (%)", value: row => row.accuracy, best: "high",
-    show: (row, low, high) => [percent(row.accuracy), row.std !== null && h("span", { class: "quiet" }, ` ± ${percent(row.std)}`), rangeMark(row, low, high)],
+    show: (row, low, high) => [percent(row.accuracy), row.std !== null && h("span", { class: "quiet" }, ` ± ${percent(row.std)}`), h("span", { class: "printed" }, ` (${range(row.low, row.high)})`), rangeMark(row, low, high)],
     help: "Share of test clouds named rightly, mean ± standard deviation over seeds. The bar is the 95 % interval by bootstrap over test objects." },
   { id: "behind", title: "behind the first", value: row => (row.behind ? row.behind[0] : 0), best: "low",
     show: row => (row.behind ? [percent(row.behind[0]), h("span", { class: "quiet" }, row.behind[1] === null ? "" : ` (${range(row.behind[1], row.behind[2])})`)] : dash),

@@ -96,12 +96,14 @@ const MOST_FAR = 3;  // more intervals on one spot hide each other
 // Accuracy over clouds seen, with what a power law expects of more where there are milestones enough.
 function learning(column, rows, width) {
   const curves = DATA.curves[column.group] || {};
-  const series = rows.filter(row => curves[row.id]).map((row, i) => ({
+  // Where several rows are compared, one milestone is no curve.
+  const long = rows.filter(row => curves[row.id] && (rows.length === 1 || curves[row.id].points.length > 1));
+  const series = long.map((row, i) => ({
     name: row.title, key: rows.indexOf(row),
     points: curves[row.id].points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]),
     far: i < MOST_FAR && curves[row.id].far && { x: DATA.far, y: 100 * curves[row.id].far[0], low: 100 * curves[row.id].far[1], high: 100 * curves[row.id].far[2] },
   }));
-  if (!series.some(each => each.points.length > 1)) return null;  // one milestone is no curve
+  if (!series.some(each => each.points.length > 1)) return null;
   const far = series.filter(each => each.far);
   const told = far.map(({ name, far: f }) => `${name} ${f.y.toFixed(1)} % (${f.low.toFixed(1)} – ${f.high.toFixed(1)})`).join("; ");
   return lineChart({

@@ -1,7 +1,7 @@
 // The page for the state in the address.
 const main = document.getElementById("main");
 const EMPTY = {
-  partial: "No model was tested on partial views yet.",
+  partial: "No model was tested on partial views yet: partialbench eval --model pointnet --data FOLDER --results results, and make the board again.",
   complete: "No model was tested on complete clouds yet. Render a data set with --setting aligned or rotated, and run eval on it.",
   transfer: "No model was tested on another data set than its own yet: partialbench eval … --test-data FOLDER.",
   noise: "No model was tested on other clouds than it was trained for yet: partialbench eval … --checkpoint FILE --test-points 64, or --test-data with a folder rendered with --sensor.",
@@ -77,7 +77,7 @@ function whatItShows(column, width) {
   });
   const topK = state.tab === "pose" && lineChart({
     caption: "Share of clouds whose true pose bin is among the k most probable of the 60.", width,
-    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: Math.min(main.indexOf(row), MOST_LINES - 1), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
+    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: main.indexOf(row), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
     x: { label: "k", text: String }, y: { label: "share of clouds (%)", least: 0, most: 100 },
   });
   return h("section", { id: "shows" }, h("h2", {}, "What this shows"),

@@ -78,7 +78,7 @@ function absentRows(column, width, asked) {
     const button = h("button", {
       type: "button", class: "plain", "data-key": "absent", "aria-expanded": String(Boolean(state.absent)), onclick: () => go({ absent: state.absent ? "" : "all" }, true),
     }, state.absent ? "show fewer" : `${fits.length - shown.length} not yet`);
-    lines.push(line(button, !state.absent && fits.filter(each => !shown.includes(each)).map(each => each.title).join("; ")));
+    lines.push(line(button, !state.absent && `not yet: ${fits.filter(each => !shown.includes(each)).map(each => each.title).join("; ")}`));
   }
   return lines;
 }
