@@ -53,11 +53,16 @@ def built(tmp_path_factory):
     add(root / "results", "good", 0.98, setting="aligned", digest="e")
     first = next(r for r in results.read_folder(root / "results") if r.row == "good")
     asked = [
-        Declared(first.train_data.id, first.test_data.id, first.train_data.digest,
-                 first.test_data.digest, "board", first.protocol_digest, 100_000, name, "",
-                 name.upper(), 0, state, reason)
-        for name, state, reason in [("wild", "failed", "the loss became nan"),
-                                    *((f"late{i}", "missing", "") for i in range(5))]
+        Declared(
+            first.train_data.id, first.test_data.id, first.train_data.digest,
+            first.test_data.digest, "board", first.protocol_digest, 100_000, name, "",
+            name.upper(), seed, state, reason,
+        )
+        for name, seed, state, reason in [
+            ("wild", 0, "failed", "the loss became nan"),
+            *((f"late{i}", 0, "missing", "") for i in range(5)),
+            *(("good", seed, "missing", "") for seed in range(3)),
+        ]
     ]  # fmt: skip
     declared.write(root / "results" / f"a{declared.SUFFIX}", asked)
     build_leaderboard(root / "results", root / "board", data=[data])

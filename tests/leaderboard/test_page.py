@@ -179,10 +179,13 @@ def test_paper_has_every_column_of_the_table(page):
     assert table["x"] + table["width"] <= 1040
 
 
-def test_axe_finds_no_serious_fault(page):
+@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (390, "dark")])
+def test_axe_finds_no_serious_fault(page, width, scheme):
     axe = os.environ.get("AXE_CORE")
     if axe is None:
         pytest.skip("AXE_CORE does not name axe.min.js (npm pack axe-core)")
+    page.set_viewport_size({"width": width, "height": 850})
+    page.emulate_media(color_scheme=scheme)
     page.evaluate(Path(axe).read_text())
     for tab in ("partial", "noise", "pose", "cost"):
         page.evaluate(f"location.hash = '#tab={tab}&row=good'")

@@ -123,6 +123,8 @@ def test_rows_that_are_not_there_are_told_and_unfold(page):
         "WILD", "failed:", "the", "loss", "became", "nan", "asked", "for", "after", "100k", "clouds"
     ]  # fmt: skip
     assert absent.count() == 2
+    seeds = page.locator("#table tr[data-row=good] td").last
+    assert seeds.inner_text() == "2 of 3"
     assert "LATE0; LATE1" in absent.last.inner_text()
     to(page, "[data-key=absent]")
     page.keyboard.press("Enter")
