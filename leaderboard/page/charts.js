@@ -98,10 +98,10 @@ const legend = (drawn, left) => h("ul", { class: "key" },
 
 // Where a row's accuracy lies between the lowest and the highest bound of the table.
 function rangeMark(row, low, high) {
-  const at = v => 3 + 104 * (v - low) / (high - low || 1);
-  return s("svg", { class: "range", width: 110, height: 14, viewBox: "0 0 110 14", role: "img", "aria-label": `95 % interval ${range(row.low, row.high)}` },
+  const at = v => 3 + 94 * (v - low) / (high - low || 1);
+  return s("svg", { class: "range", width: 100, height: 14, viewBox: "0 0 100 14", role: "img", "aria-label": `95 % interval ${range(row.low, row.high)}` },
     s("title", {}, `95 % interval ${range(row.low, row.high)}`),
-    s("line", { class: "ground", x1: 3, x2: 107, y1: 7, y2: 7 }),
+    s("line", { class: "ground", x1: 3, x2: 97, y1: 7, y2: 7 }),
     row.low !== null && s("rect", { x: at(row.low), width: Math.max(1.5, at(row.high) - at(row.low)), y: 3.5, height: 7, rx: 1.5 }),
     s("line", { x1: at(row.accuracy), x2: at(row.accuracy), y1: 1, y2: 13 }));
 }
@@ -110,8 +110,9 @@ function rangeMark(row, low, high) {
 function confusionMatrix(classes, perClass, confusions, width) {
   const names = classes.filter(name => perClass.some(([label]) => label === name) || confusions.some(c => classes[c[1]] === name));
   const index = new Map(names.map((name, i) => [name, i]));
-  const margin = Math.min(86, 7 + 6.3 * Math.max(...names.map(n => Math.min(n.length, 13))));
-  const size = Math.min(width, 460), cell = (size - margin) / names.length, labelled = cell >= 8;
+  const room = Math.min(86, 7 + 6.3 * Math.max(...names.map(n => Math.min(n.length, 13))));
+  const size = Math.min(width, 460), labelled = (size - room) / names.length >= 8;
+  const margin = labelled ? room : 0, cell = (size - margin) / names.length;
   const square = (i, j, share, diagonal) => s("rect", {
     x: margin + j * cell, y: i * cell, width: cell * 0.94, height: cell * 0.94, "fill-opacity": Math.max(0.06, share), class: `cell ${diagonal ? "k0" : "k1"}`,
   }, s("title", {}, `${names[i]} named ${names[j]}: ${percent(share)} %`));

@@ -25,7 +25,7 @@ function details(column, row) {
       s("svg", { viewBox: "0 0 100 6", preserveAspectRatio: "none", "aria-hidden": "true" }, s("rect", { width: 100 * value, height: 6 })),
       h("span", {}, percent(value))]))),
     h("div", {}, h("h3", {}, "Confusion"), confusionMatrix(column.classes, more.per_class, more.confusions, width),
-      h("p", { class: "about" }, `True class down, answer across; blue is right. The ${more.confusions.length} most frequent confusions of all seeds.`),
+      h("p", { class: "about" }, `True class down, answer across, in the order of their names; blue is right. The ${more.confusions.length} most frequent confusions of all seeds.`),
       list(more.confusions.slice(0, 5).map(([i, j, value]) => `${column.classes[i]} named ${column.classes[j]}: ${percent(value)} %`))),
     h("div", {}, h("h3", {}, "Calibration"), reliability(row, width)),
     column.views.map(view => [ACCURACY, POSE_ERROR].map(what => viewChart(view, [row], what, width)).filter(Boolean))

@@ -168,6 +168,10 @@ def test_nothing_is_wider_than_the_screen_on_any_tab(page, width, scheme):
     for tab in ("partial", "complete", "transfer", "noise", "pose", "cost"):
         page.evaluate(f"location.hash = '#tab={tab}&row=good'")
         page.locator(f"nav a[href*='tab={tab}'][aria-current]").wait_for()
+        page.locator(".picker summary").click()
+        box = page.locator(".picker > div").bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= width
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
