@@ -61,7 +61,13 @@ def data_at_hand(
 
     Those are beside the folder of records, in ``data`` beside it, and in the folders of
     ``look_in``. One that cannot be read is passed over: nobody asked for it.
+
+    Raises:
+        InputError: a folder of ``look_in`` that is none.
     """
+    for folder in map(Path, look_in):
+        if not folder.is_dir():
+            raise InputError(f"no folder to look for data in at {folder} (--look-in)")
     beside = results_folder.resolve().parent
     found: dict[str, ShardDataset] = {}
     for parent in (beside, beside / "data", *map(Path, look_in)):

@@ -68,7 +68,9 @@ function byView(column, width) {
 }
 
 function copy(text, button) {
-  navigator.clipboard?.writeText(text).then(() => { button.textContent = "copied"; }, () => { button.textContent = "select it and copy by hand"; });
+  const byHand = () => { button.textContent = "select it and copy by hand"; };
+  if (!navigator.clipboard) byHand();  // pages served without encryption have none
+  else navigator.clipboard.writeText(text).then(() => { button.textContent = "copied"; }, byHand);
 }
 
 function reliability(row, width) {

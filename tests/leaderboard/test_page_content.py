@@ -22,6 +22,7 @@ from leaderboard.page.command import reproduce
 from leaderboard.page.content import Found, content, kind
 from partialbench.benchmark.protocol.protocol import protocol
 from partialbench.benchmark.records import results
+from partialbench.errors import InputError
 from tests.leaderboard.records import add, predictions, record, small_board
 
 
@@ -190,6 +191,8 @@ def test_of_data_at_hand_the_cameras_are_used_and_clouds_shown_only_of_built_in_
     results_of = tmp_path / "records"
     assert solids() == (set(), 0)
     assert solids(look_in=[tmp_path / "elsewhere"]) == (cameras, 0)
+    with pytest.raises(InputError, match=r"no folder to look for data in at .*nowhere"):
+        solids(look_in=[tmp_path / "nowhere"])
     monkeypatch.setattr(clouds, "LICENCE_CLEAN", ("solids",))
     assert solids(look_in=[tmp_path / "elsewhere"])[1] > 0
 

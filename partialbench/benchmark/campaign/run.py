@@ -92,8 +92,9 @@ def run(
             runner.forget()
         if campaign.board is not None and any(campaign.results.glob("*.result.json")):
             make = registry.load(registry.LEADERBOARD)
-            look_in = dict.fromkeys(data.folder.parent for data in campaign.data.values())
-            for path in make(campaign.results, campaign.board, look_in=list(look_in)):
+            parents = dict.fromkeys(data.folder.parent for data in campaign.data.values())
+            look_in = [parent for parent in parents if parent.is_dir()]
+            for path in make(campaign.results, campaign.board, look_in=look_in):
                 log.info("wrote %s", path)
         if runner.unrendered:
             raise PartialbenchError(
