@@ -125,7 +125,9 @@ def test_figures_have_legends_and_labels_do_not_overlap(page):
 
 
 def test_a_cloud_turns_by_mouse_and_by_key_and_shows_the_predicted_pose(page):
-    page.select_option("#data-set", label="solids, partial, board")
+    assert page.locator("canvas").count() == 0
+    page.get_by_role("link", name="Clouds on which the models disagree").click()
+    assert page.locator("#data-set").input_value().startswith("solids")
     canvas = page.locator("canvas").first
     canvas.scroll_into_view_if_needed()
     first, yaw = canvas.screenshot(), float(canvas.get_attribute("data-yaw"))
