@@ -86,13 +86,30 @@ def distances(a: Tensor, b: Tensor) -> Tensor:
     return square.sqrt_()
 
 
+def smallest(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The ``count`` smallest of the last axis of (…,N), ascending, and their indices, int64.
+
+    Values of 32 bits on the CPU are sorted as whole numbers of 64 that hold value and index, for
+    which NumPy's vectorised sort is several times as fast as topk; equal ones then keep their order.
+    """
+    if values.device.type != "cpu" or values.dtype != torch.float32:
+        return torch.topk(values, count, dim=-1, largest=False)
+    # Zero is added for −0, whose bits are another number's.
+    bits = (values + 0.0).view(torch.int32)
+    # As whole numbers negative floats run backwards: all their bits but the sign turn round.
+    keys = (bits ^ ((bits >> 31) & 0x7FFFFFFF)).long()
+    keys = (keys << 32).bitwise_or_(torch.arange(values.shape[-1]))
+    keys.numpy().sort(axis=-1)
+    index = keys[..., :count] & 0xFFFFFFFF
+    return values.gather(-1, index), index
+
+
 @_geometry
-def knn(points: Tensor, k: int, nearest_first: bool = False) -> Tensor:
-    """Indices (B,N,k) of each point's k nearest, itself included, in no particular order.
+def knn(points: Tensor, k: int) -> Tensor:
+    """Indices (B,N,k) of each point's k nearest, itself included, nearest first.
 
     Args:
         points: (B,N,C) coordinates or features.
-        nearest_first: in this order.
 
     Raises:
         InputError: if a cloud has fewer than k points.
@@ -102,13 +119,13 @@ def knn(points: Tensor, k: int, nearest_first: bool = False) -> Tensor:
             f"{k} neighbours need clouds of at least {k} points, got {points.shape[1]}"
         )
     if points.shape[-1] <= 4:
-        nearness = distances(points, points).neg_()
+        farness = distances(points, points)
     else:
         # |a|² is the same for a whole row: only |b|² − 2a·b orders the neighbours.
         points = full_precision(points)
         norms = points.square().sum(dim=-1)
-        nearness = torch.baddbmm(-norms[:, None], points, points.mT, alpha=2)
-    return nearness.topk(k, dim=-1, sorted=nearest_first).indices
+        farness = torch.baddbmm(norms[:, None], points, points.mT, alpha=-2)
+    return smallest(farness, k)[1]
 
 
 @_geometry
@@ -166,7 +183,7 @@ def ball_query(
     """
     distance = distances(centres, points)
     if nearest:
-        near, index = distance.topk(min(count, points.shape[1]), dim=-1, largest=False)
+        near, index = smallest(distance, min(count, points.shape[1]))
         if not bool((near[..., 0] <= radius).all()):
             raise InputError(f"a centre has no point within {radius}: it is not of the cloud")
         index = torch.where(near <= radius, index, index[..., :1])

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from baselines.points import distances, gather
+from baselines.points import distances, gather, smallest
 from baselines.shared_mlp import chunks
 
 with warnings.catch_warnings():
@@ -126,7 +126,7 @@ def _geometry(points: Tensor, k: int, lmax: int, scales: int, ray: Tensor | None
         min(max(min(number // WIDE_SHARE, WIDE_MOST) * 2**scale, k), number - 1)
         for scale in range(scales)
     ]
-    near, index = distances(points, points).topk(sizes[-1] + 1, largest=False)
+    near, index = smallest(distances(points, points), sizes[-1] + 1)
     # The distance of the first point left out ends a neighbourhood; it is continuous, as every
     # order statistic is, though which point it belongs to is not.
     ends, narrow_end = [near[..., size] for size in sizes], near[..., k]
