@@ -187,6 +187,19 @@ def _before(d: Tensor, out: Tensor, slope: float, into: Tensor) -> Tensor:
     return torch.ops.aten.threshold_backward.grad_input(d, out, 0, grad_input=into)
 
 
+def accumulator(weight: Tensor) -> Tensor:
+    """Zeros for a gradient of ``weight`` that is summed part by part, never in a half precision."""
+    return torch.zeros_like(weight, dtype=torch.promote_types(weight.dtype, torch.float32))
+
+
+def accumulate(total: Tensor, a: Tensor, b: Tensor) -> None:
+    """Adds a·b to an ``accumulator``."""
+    if a.dtype == total.dtype:
+        total.addmm_(a, b)
+    else:
+        total += a @ b
+
+
 class _LinearMax(torch.autograd.Function):
     """max over n of x (G,n,C_in) · weightᵀ + bias → (G,C_out), never kept before the maximum.
 
@@ -212,14 +225,14 @@ class _LinearMax(torch.autograd.Function):
         x, weight, index = ctx.saved_tensors
         groups, size, channels = x.shape
         rows = x.flatten(0, 1)
-        d_weight = torch.zeros_like(weight)
+        d_weight = accumulator(weight)
         if size <= FEW_ROWS:
             d_x = torch.empty_like(x)
             for part in chunks(groups, size * len(weight), x.device):
                 d_y = x.new_zeros(len(d_top[part]), size, len(weight))
                 d_y.scatter_(1, index[part, None].long(), d_top[part, None])
                 flat = d_y.flatten(0, 1)
-                d_weight.addmm_(flat.T, x[part].flatten(0, 1))
+                accumulate(d_weight, flat.T, x[part].flatten(0, 1))
                 torch.mm(flat, weight, out=d_x[part].flatten(0, 1))
             return d_x, d_weight, d_top.sum(dim=0)
         d_rows = torch.zeros_like(rows)

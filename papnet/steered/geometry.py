@@ -63,6 +63,8 @@ class Geometry(NamedTuple):
 def harmonics(vectors: Tensor, lmax: int) -> Tensor:
     """(…,3) vectors v → (…,M): |v|^l·Y_l(v/|v|), Y_l of norm 1."""
     degrees = list(range(lmax + 1))
+    # Each coordinate by itself in memory: e3nn's polynomials are then of whole vectors.
+    vectors = vectors.movedim(-1, 0).contiguous().movedim(0, -1)
     return o3.spherical_harmonics(degrees, vectors, normalize=False, normalization="norm")
 
 
@@ -77,12 +79,12 @@ def shells(x: Tensor, centres: tuple[float, ...], width: float) -> Tensor:
 
 
 def per_degree(products: Tensor, lmax: int) -> Tensor:
-    """(…,M) → (…,lmax): the sums over the components of each degree above 0."""
+    """(…,S,M) → (…,S·lmax): the sums over the components of each degree above 0."""
     # As a product with zeros and ones: faster than sums over a few strided components.
-    device = products.device
-    degree = torch.arange((lmax + 1) ** 2, device=device).sqrt().floor()
-    belongs = degree[:, None] == torch.arange(1, lmax + 1, device=device)
-    return products @ belongs.to(products)
+    degree = torch.arange((lmax + 1) ** 2, device=products.device).sqrt().floor()
+    belongs = degree[:, None] == torch.arange(1, lmax + 1, device=products.device)
+    shells = torch.eye(products.shape[-2], device=products.device)
+    return products.flatten(-2) @ torch.kron(shells, belongs.float()).to(products)
 
 
 def num_features(lmax: int, scales: int = 1, ray: bool = False) -> tuple[int, int]:
@@ -146,8 +148,8 @@ def _geometry(points: Tensor, k: int, lmax: int, scales: int, ray: Tensor | None
     of_points = [
         torch.stack([radius, *ends, narrow_end], dim=-1),
         moments[..., 0],
-        per_degree(moments.square(), lmax).sqrt().flatten(2),
-        per_degree(moments * outward[:, :, None], lmax).flatten(2),
+        per_degree(moments.square(), lmax).sqrt(),
+        per_degree(moments * outward[:, :, None], lmax),
     ]
     of_edges = [
         _edge_features(points, neighbours, near[..., :k], Y[:, :, :k], of_scales[0], outward, lmax)
@@ -157,7 +159,7 @@ def _geometry(points: Tensor, k: int, lmax: int, scales: int, ray: Tensor | None
         seen = harmonics(ray, lmax)[:, None, None]
         of_points += [
             (outward[..., 1:4] * seen[:, :, 0, 1:4]).sum(-1, keepdim=True),
-            per_degree(moments * seen, lmax).flatten(2),
+            per_degree(moments * seen, lmax),
         ]
         of_edges.append((Y[:, :, :k, 1:4] * seen[..., 1:4]).sum(-1, keepdim=True))
         fields.append(seen.expand(-1, number, -1, -1))
@@ -195,7 +197,7 @@ def _edge_features(
             distance[..., None],
             *(product.sum(-1, keepdim=True) for product in cosines),
             *(
-                per_degree(product, lmax).flatten(3)
+                per_degree(product, lmax)
                 for product in (moments * edges, there * edges, moments * there)
             ),
         ],
