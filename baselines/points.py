@@ -182,23 +182,48 @@ def ball_query(
         InputError: if a ball is empty, which NaN coordinates also cause.
     """
     distance = distances(centres, points)
+    number = points.shape[1]
     if nearest:
-        near, index = smallest(distance, min(count, points.shape[1]))
-        if not bool((near[..., 0] <= radius).all()):
-            raise InputError(f"a centre has no point within {radius}: it is not of the cloud")
+        near, index = smallest(distance, min(count, number))
+        _require_hits(near[..., 0] <= radius, radius)
         index = torch.where(near <= radius, index, index[..., :1])
         missing = count - index.shape[-1]
         return torch.cat([index, index[..., :1].expand(-1, -1, missing)], dim=-1)
-    inside = (distance <= radius).flatten(0, 1)
+    inside = distance <= radius
+    if points.device.type == "cpu":
+        return _first_hits(inside.flatten(0, 1), count, radius).view(*distance.shape[:2], count)
+    return _first_ranked(inside, count, radius)
+
+
+def _require_hits(found: Tensor, radius: float) -> None:
+    """Raises InputError for an empty ball; on other devices torch's own error, when it gets there."""
+    message = f"a centre has no point within {radius}: it is not of the cloud"
+    if found.device.type != "cpu":
+        torch._assert_async(found.all(), message)
+    elif not bool(found.all()):
+        raise InputError(message)
+
+
+def _first_hits(inside: Tensor, count: int, radius: float) -> Tensor:
+    """The first ``count`` that are true of each row (R,N), padded with the first: (R,count)."""
     hits = inside.nonzero()[:, 1]
     found = inside.sum(dim=1)
-    if not bool(found.all()):
-        raise InputError(f"a centre has no point within {radius}: it is not of the cloud")
+    _require_hits(found > 0, radius)
     # Row i's hits lie at first[i] … first[i] + found[i] − 1; past its end, read the first again.
     first = found.cumsum(0) - found
-    rank = torch.arange(count, device=points.device)
-    take = first[:, None] + torch.where(rank < found[:, None], rank, 0)
-    return hits[take].view(*distance.shape[:2], count)
+    rank = torch.arange(count, device=inside.device)
+    return hits[first[:, None] + torch.where(rank < found[:, None], rank, 0)]
+
+
+def _first_ranked(inside: Tensor, count: int, radius: float) -> Tensor:
+    """The same of (…,N), (…,count), by ranking all points: where the hits lie is not waited for."""
+    number = inside.shape[-1]
+    ranked = torch.where(inside, torch.arange(number, device=inside.device), number)
+    index = ranked.topk(min(count, number), dim=-1, largest=False).values
+    _require_hits(index[..., 0] < number, radius)
+    index = torch.where(index < number, index, index[..., :1])
+    missing = [*index.shape[:-1], count - index.shape[-1]]
+    return torch.cat([index, index[..., :1].expand(missing)], dim=-1)
 
 
 def flat_index(index: Tensor, number: int) -> Tensor:

@@ -75,7 +75,8 @@ def directions(vectors: Tensor) -> Tensor:
 
 def shells(x: Tensor, centres: tuple[float, ...], width: float) -> Tensor:
     """Gaussians of (…) values at ``centres``, (…,S)."""
-    return torch.exp(-0.5 * ((x[..., None] - x.new_tensor(centres)) / width).square())
+    offsets = torch.stack([x - centre for centre in centres], dim=-1)
+    return torch.exp(-0.5 * (offsets / width).square())
 
 
 def per_degree(products: Tensor, lmax: int) -> Tensor:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from baselines.balls import LENGTHS, without_padding
-from baselines.points import ball_query, flat_index
+from baselines.balls import LENGTHS, _padded, without_padding
+from baselines.points import _first_ranked, ball_query, distances, flat_index
 from baselines.shared_mlp import SharedMLP
 
 
@@ -31,6 +31,22 @@ def test_every_entry_counts_as_often_as_it_was_padded(count: int, nearest: bool)
     assert found == expected
     assert sum(n * length for n, length in balls.blocks) == len(balls.point)
     assert len(balls.blocks) <= LENGTHS
+
+
+@pytest.mark.parametrize("count", [7, 80])
+def test_balls_as_other_devices_find_them_are_the_same(count: int) -> None:
+    points = torch.rand(3, 50, 3)
+    index = ball_query(points[:, :20], points, 0.4, count)
+    inside = distances(points[:, :20], points) <= 0.4
+    assert torch.equal(_first_ranked(inside, count, 0.4), index)
+    balls = _padded(index, flat_index(index, 50).flatten(0, 1))
+    found: list[dict[int, int]] = [{} for _ in range(60)]
+    for point, centre, weight in zip(balls.point, balls.centre, balls.weight, strict=True):
+        if weight:
+            assert int(point) not in found[centre]
+            found[centre][int(point)] = int(weight)
+    assert found == entries(index, 50)
+    assert balls.blocks == ((60, count),)
 
 
 def test_full_balls_are_one_block_and_rows_are_never_more_than_padded() -> None:
