@@ -187,20 +187,32 @@ def _edge_features(
     outward: Tensor,
     lmax: int,
 ) -> Tensor:
-    """(B,N,k,F): the distance, three cosines, and how moments at both ends lie to the edge."""
-    there = gather(moments.flatten(2), neighbours).view(*Y.shape[:3], *moments.shape[2:])
+    """(B,N,k,F): the distance, three cosines, and how moments at both ends lie to the edge.
+
+    Component by component over all edges at once: a sum over a few values that lie side by side
+    keeps a processor's vectors empty.
+    """
+    shape, (S, M) = Y.shape[:3], moments.shape[2:]
     outward_there = gather(outward[..., 1:4], neighbours)
     edge, here = Y[..., 1:4], outward[:, :, None, 1:4]
     cosines = [(edge * here), (edge * outward_there), (here * outward_there)]
-    moments, edges = moments[:, :, None], Y[:, :, :, None]
+    there = gather(moments.flatten(2), neighbours).flatten(0, 2).T.contiguous().view(S, M, -1)
+    of_point = moments.flatten(0, 1).permute(1, 2, 0).repeat_interleave(shape[2], dim=2)
+    edges = Y.flatten(0, 2).T.contiguous()[None]
+    sums = edges.new_empty(3, S, lmax, edges.shape[2])
+    for into, (one, other) in zip(
+        sums, ((of_point, edges), (there, edges), (of_point, there)), strict=True
+    ):
+        for degree in range(1, lmax + 1):
+            first = degree**2
+            total = torch.mul(one[:, first], other[:, first], out=into[:, degree - 1])
+            for component in range(first + 1, (degree + 1) ** 2):
+                total.addcmul_(one[:, component], other[:, component])
     return torch.cat(
         [
             distance[..., None],
             *(product.sum(-1, keepdim=True) for product in cosines),
-            *(
-                per_degree(product, lmax)
-                for product in (moments * edges, there * edges, moments * there)
-            ),
+            sums.flatten(0, 2).T.unflatten(0, shape),
         ],
         dim=-1,
     )
