@@ -13,9 +13,9 @@ The paper compares with this pair but releases no code for it. Ours: k = 32 neig
 layer 4-64 and the maximum over neighbours make a point's feature; PointNet++ (SSG) samples and
 groups by coordinates but sees these features alone, in its last level too. Everything chosen by
 coordinates is independent of the pose: sampling starts at the point farthest from the centroid and
-balls keep their nearest points. RRI's own discontinuities are ramps (``RAMP``, ``FADE``; shorter by
-``--option ramp=0.02``). What remains is rounding: where two distances agree to the last digits, a
-turned cloud may choose the other.
+balls keep their nearest points. RRI's own discontinuities are ramps (``RAMP``, ``FADE``; gentler by
+``--option ramp=0.2``). What remains is rounding: a ramp is steep, and where two distances agree to
+the last digits a turned cloud may choose the other.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ NEIGHBOURS = 32
 WIDTH = 64
 LARGEST = math.pi / 2
 """Radians; larger φ, of neighbourhoods open to one side, count as this."""
-RAMP = 0.2
+RAMP = 0.02
 """Radians. As defined, φ_ik jumps where a neighbour's direction passes another's: ψ = 0 turns into
 2π and the least angle into the gap to the next. Equal directions are common (symmetric shapes,
 repeated points), and rounding would decide. Here a follower nearer than the ramp counts as
 ψ + LARGEST·(1 − ψ/ramp), which is LARGEST on both sides of ψ = 0: φ is continuous, and as defined
-where no two directions are that near. Of 32 neighbours most are: the gaps between their directions
-average 2π/32 = 0.196 (the model's card says what becomes of φ). With a shorter ramp φ is nearer to
-its definition and steeper where directions meet, so that rounding moves it more."""
+where no two directions are that near. A longer ramp is gentler to rounding but is another feature:
+the gaps between 32 directions average 2π/32 = 0.196, and under a ramp as long as that most φ are
+not as defined. The model's card has the figures of both."""
 FADE = 0.5
 """Share of the ramp that is the length below which a direction fades out: of p_i near the centroid,
 of a neighbour across p̂_i when it is in line with it. Their angles would be rounding alone."""
@@ -65,8 +65,12 @@ def across(p: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @torch.no_grad()
-def rri(points: Tensor, k: int = NEIGHBOURS, ramp: float = RAMP) -> Tensor:
+def rri(
+    points: Tensor, k: int = NEIGHBOURS, ramp: float = RAMP, dtype: torch.dtype | None = None
+) -> Tensor:
     """RRI features (B,N,k,4) as (r_i, r_ik, θ_ik, φ_ik) of normalised clouds (B,N,3); no gradient.
+
+    ``dtype`` is the features', the clouds' own by default; neighbours are chosen in it.
 
     φ is 0 for a neighbour in line with p_i, which is nobody's follower; θ and φ are 0 for a point
     at the centroid. Neighbours are the k nearest other points, in no particular order.
@@ -79,25 +83,30 @@ def rri(points: Tensor, k: int = NEIGHBOURS, ramp: float = RAMP) -> Tensor:
             f"{k} neighbours need clouds of at least {k + 1} points, got {points.shape[1]}"
         )
     with torch.autocast(points.device.type, enabled=False):
-        points = full_precision(points)
+        precise = full_precision(points).double()
+        points = precise.to(dtype or full_precision(points).dtype)
         distance = distances(points, points)
         distance.diagonal(dim1=1, dim2=2).fill_(torch.inf)
-        q = gather(points, smallest(distance, k)[1])
-        r = torch.linalg.vector_norm(points, dim=-1)
+        nearest = smallest(distance, k)[1]
+        # What the ramps make steep is computed in double precision: k angles a point, not k².
+        q = gather(precise, nearest)
+        r = torch.linalg.vector_norm(precise, dim=-1)
         r_k = torch.linalg.vector_norm(q, dim=-1)
-        p = points / r[..., None].clamp_min(1e-12)
+        p = precise / r[..., None].clamp_min(1e-12)
         # In a frame about p, q = (x, y, along): θ and ψ are read off without acos.
         u, v = across(p)
         x, y, along = (q @ torch.stack([u, v, p], dim=-1)).unbind(-1)
         length = torch.hypot(x, y)
-        theta = torch.atan2(length, along)
         shortest = FADE * ramp
-        has_direction = (length / shortest).clamp_max(1)
+        fade = (r / shortest).clamp_max(1)[..., None]
+        theta = (torch.atan2(length, along) * fade).to(points.dtype)
+        has_direction = (length / shortest).clamp_max(1).to(points.dtype)
+        angle = torch.atan2(y, x).to(points.dtype)
         phi = torch.empty_like(theta)
         for part in chunks(len(points), points.shape[1] * k * k, points.device):
-            phi[part] = _to_follower(torch.atan2(y[part], x[part]), has_direction[part], ramp)
-        fade = (r / shortest).clamp_max(1)[..., None]
-        theta, phi = theta * fade, phi * fade
+            phi[part] = _to_follower(angle[part], has_direction[part], ramp)
+        phi *= fade.to(points.dtype)
+        r, r_k = r.to(points.dtype), r_k.to(points.dtype)
         return torch.stack([r[..., None].expand_as(r_k), r_k, theta, phi], dim=-1)
 
 
@@ -130,7 +139,8 @@ class RRIPointNet2(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k → logits (B,K)."""
-        points = normalise(points)
-        features = F.relu_(self.embed.max(rri(points, self.k, self.ramp)))
+        precise = normalise(points.double())
+        points = precise.float()
+        features = F.relu_(self.embed.max(rri(precise, self.k, self.ramp, points.dtype)))
         start = farthest_from_centre(points)
         return Prediction(self.classifier.classify(points, features, start))

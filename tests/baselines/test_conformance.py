@@ -210,6 +210,10 @@ NEAR_TIES = {"local-to-global": 0.9}
 """Share of clouds that must keep their answers: of the others, by these weights, two neighbours
 among features are as far to seven digits, and the turned coordinates' own rounding chooses."""
 
+DRIFT = {"rri-pointnet2": 3e-4}
+"""How far a turn may move the logits, where it is not 1e-4: φ is steep where two directions meet,
+and the turned coordinates are rounded; the card says so."""
+
 
 def largest_change(
     name: str, points: Tensor, change: Callable[[Tensor], Tensor], trials: int, share: float = 1
@@ -238,7 +242,7 @@ def test_claimed_permutation_invariance_holds(name: str) -> None:
 
 @every_model
 def test_rotation_invariance_is_as_claimed(name: str) -> None:
-    """Holds to 1e-4 where the card claims it; else it does not.
+    """Holds to 1e-4 (or what its card says) where the card claims it; else it does not.
 
     The clouds are turned about their own centres: at the camera's distance float32 coordinates
     themselves are off by more than the claim.
@@ -253,7 +257,7 @@ def test_rotation_invariance_is_as_claimed(name: str) -> None:
     trials, share = 1 if heavy(name) else 4, NEAR_TIES.get(name, 1.0)
     change = largest_change(name, centred, turn, trials, share)
     if "rotation" in CARDS[name].invariances:
-        assert change <= 1e-4
+        assert change <= DRIFT.get(name, 1e-4)
     else:
         assert change > 1e-3, f"{name} claims no rotation invariance but shows it: {change:.1e}"
 

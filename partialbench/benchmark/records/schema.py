@@ -189,7 +189,7 @@ class RecordFile(TypedDict):
     protocol_digest: Digest
     train_data: DataEntry
     test_data: DataEntry
-    seed: int
+    seed: Count
     clouds: Positive
     given_pose: str
     damage: NotRequired[str]
