@@ -90,7 +90,7 @@ def smallest(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """The ``count`` smallest of the last axis of (…,N), ascending, and their indices, int64.
 
     Values of 32 bits on the CPU are sorted as whole numbers of 64 that hold value and index, for
-    which NumPy's vectorised sort is several times as fast as topk; equal ones then keep their order.
+    which NumPy's vectorised sort is several times as fast as topk; equal ones keep their order.
     """
     if values.device.type != "cpu" or values.dtype != torch.float32:
         return torch.topk(values, count, dim=-1, largest=False)
@@ -196,7 +196,7 @@ def ball_query(
 
 
 def _require_hits(found: Tensor, radius: float) -> None:
-    """Raises InputError for an empty ball; on other devices torch's own error, when it gets there."""
+    """Raises InputError for an empty ball; other devices raise torch's error when they find it."""
     message = f"a centre has no point within {radius}: it is not of the cloud"
     if found.device.type != "cpu":
         torch._assert_async(found.all(), message)

@@ -9,8 +9,8 @@ so the norm's scale and shift are known before y is, and fold into the weights: 
 gives the normalised value, and a maximum over points can be taken without keeping y. Cov(x) costs
 C_in² multiplications a row and its gradient as many again; where y has few channels for that and is
 kept anyway, its variance is summed from y itself, which comes out of the product centred
-(``_NormActivate``). The results are those of ``nn.Linear`` followed by ``nn.BatchNorm1d``, gradients
-and running statistics included, up to rounding.
+(``_NormActivate``). The results are those of ``nn.Linear`` followed by ``nn.BatchNorm1d``,
+gradients and running statistics included, up to rounding.
 
 Layout: channels last, (…,C).
 """
@@ -179,7 +179,7 @@ def _activate(values: Tensor, slope: float) -> Tensor:
 
 
 def _before(d: Tensor, out: Tensor, slope: float, into: Tensor) -> Tensor:
-    """The gradient before a leaky ReLU from that after it and from its values, written to ``into``."""
+    """The gradient before a leaky ReLU from that after it and its values, written to ``into``."""
     if slope == 1:
         return into.copy_(d)
     if slope:

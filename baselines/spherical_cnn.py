@@ -60,7 +60,9 @@ def extent(points: Tensor, n: int = RESOLUTION) -> Tensor:
         omega = nn.functional.pad(omega, (0, 1), value=1.0)
         offset = radius.log() - CONCENTRATION
         forms = torch.cat([CONCENTRATION * points.float() / radius, offset], dim=-1)
-        chunk = max(1, _CHUNK_BYTES[points.device.type == "cpu"] // (4 * len(omega) * points.shape[1]))
+        chunk = max(
+            1, _CHUNK_BYTES[points.device.type == "cpu"] // (4 * len(omega) * points.shape[1])
+        )
         envelopes = [(omega @ part.mT).amax(-1) for part in forms.split(chunk)]
         return torch.cat(envelopes).exp().view(len(points), n, n)
 
@@ -121,7 +123,11 @@ class _ShiftedPReLU(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, d_out: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         x, shift, slope = ctx.saved_tensors
-        d_x, d_shift, d_slope = torch.empty_like(x), torch.zeros_like(shift), torch.zeros_like(slope)
+        d_x, d_shift, d_slope = (
+            torch.empty_like(x),
+            torch.zeros_like(shift),
+            torch.zeros_like(slope),
+        )
         for part in chunks(len(x), 8 * x.shape[1], x.device):
             d, z = d_out[part], x[part] + shift
             positive = torch.ops.aten.threshold_backward(d, z, 0)

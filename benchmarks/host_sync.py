@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch._subclasses.fake_tensor import (
     DataDependentOutputException,
     DynamicOutputShapeException,
@@ -26,7 +26,7 @@ from torch.utils import backend_registration
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from partialbench import registry
-from partialbench.benchmark import inputs
+from partialbench.benchmark import inputs, models
 from partialbench.benchmark.prediction import Batch
 from partialbench.benchmark.training.loop import WithLoss
 
@@ -39,12 +39,16 @@ class FetchedError(RuntimeError):
     """Values were brought from the device to the host."""
 
 
+def _require_there(tensor: Tensor) -> None:
+    if tensor.device.type != DEVICE:
+        raise FetchedError("values are brought to the host")
+
+
 class _NothingFetched(TorchDispatchMode):
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         out = func(*args, **(kwargs or {}))
-        if func is torch.ops.aten._to_copy.default and args[0].device.type != out.device.type:
-            if out.device.type == "cpu":
-                raise FetchedError("values are brought to the host")
+        if func is torch.ops.aten._to_copy.default and args[0].device.type == DEVICE:
+            _require_there(out)
         return out
 
 
@@ -66,7 +70,7 @@ def first_wait(name: str, **options: Any) -> str | None:
     """Where a step of a registered model first waits, "file:line: what"; None where it does not."""
     register()
     torch.manual_seed(0)
-    model: nn.Module = registry.create(name, NUM_CLASSES, **options).train()
+    model = models.create(name, NUM_CLASSES, options).train()
     real = Batch(
         torch.randn(CLOUDS, POINTS, 3), torch.arange(CLOUDS),
         torch.eye(3).repeat(CLOUDS, 1, 1), torch.eye(3).repeat(CLOUDS, 1, 1),

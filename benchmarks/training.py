@@ -88,8 +88,7 @@ def measure(
 ) -> dict[str, float]:
     """Milliseconds a cloud by tree, the first step of each left out."""
     trainers = {
-        name: Trainer(tree, model, clouds, precision)
-        for name, (tree, precision) in trees.items()
+        name: Trainer(tree, model, clouds, precision) for name, (tree, precision) in trees.items()
     }
     taken: dict[str, list[float]] = {name: [] for name in trees}
     for turn in range(turns + 1):
@@ -177,8 +176,7 @@ def main() -> None:
         f"torch {torch.__version__}): batches of {BATCH} clouds of 256 points, as the `board` "
         f"preset trains.\nOld code and new code took their steps in turns in one sitting; each "
         f"figure is a median of {arguments.turns}. Made by\n`python -m benchmarks.training "
-        f"--base {' '.join(arguments.base)} …`.\n\n"
-        + table(rows, arguments.base, list(new))
+        f"--base {' '.join(arguments.base)} …`.\n\n" + table(rows, arguments.base, list(new))
     )
     sys.stdout.write("\n" + page)
     if arguments.out:

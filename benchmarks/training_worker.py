@@ -1,6 +1,6 @@
-"""Trains one model under the ``board`` preset, as many steps as it is told: ``benchmarks.training``.
+"""Trains one model under the ``board`` preset, as many steps as ``benchmarks.training`` says.
 
-    python -P benchmarks/training_worker.py ORDER      with PYTHONPATH the tree whose code is measured
+    python -P benchmarks/training_worker.py ORDER     with PYTHONPATH the tree to be measured
 
 ORDER is a JSON object: model, options, clouds (an .npz), precision. Each line of stdin is a number
 of steps; the answer is a JSON line with the CPU seconds that they took. The same file serves trees
