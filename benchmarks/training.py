@@ -23,6 +23,7 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -53,25 +54,36 @@ MODELS: dict[str, dict[str, int]] = {
 
 
 class Trainer:
-    """A process that trains one model with the code of one tree."""
+    """A process that trains one model after the other with the code of one tree."""
 
-    def __init__(self, tree: Path, model: str, clouds: Path, precision: str) -> None:
-        order = {
-            "model": model, "options": MODELS[model], "clouds": str(clouds), "precision": precision,
-        }  # fmt: skip
+    def __init__(self, tree: Path, precision: str) -> None:
+        self.precision = precision
         worker = str(HERE / "benchmarks" / "training_worker.py")
         self.process = subprocess.Popen(
-            [sys.executable, "-P", worker, json.dumps(order)],
+            [sys.executable, "-P", worker],
             env={**os.environ, "PYTHONPATH": str(tree), "OMP_NUM_THREADS": "1"},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
 
+    def _send(self, order: Any) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(order) + "\n")
+        self.process.stdin.flush()
+
+    def begin(self, model: str, clouds: Path) -> None:
+        """Trains this model from here on."""
+        options = MODELS[model]
+        self._send(
+            {
+                "model": model, "options": options, "clouds": str(clouds),
+                "precision": self.precision,
+            }
+        )  # fmt: skip
+
     def step(self) -> float:
         """CPU milliseconds a cloud of one step."""
-        assert self.process.stdin is not None
+        self._send(1)
         assert self.process.stdout is not None
-        self.process.stdin.write("1\n")
-        self.process.stdin.flush()
         line = self.process.stdout.readline()
         if not line:
             raise SystemExit(f"a trainer left with status {self.process.wait()}")
@@ -83,21 +95,16 @@ class Trainer:
         self.process.wait()
 
 
-def measure(
-    model: str, trees: dict[str, tuple[Path, str]], clouds: Path, turns: int
-) -> dict[str, float]:
+def measure(model: str, trainers: dict[str, Trainer], clouds: Path, turns: int) -> dict[str, float]:
     """Milliseconds a cloud by tree, the first step of each left out."""
-    trainers = {
-        name: Trainer(tree, model, clouds, precision) for name, (tree, precision) in trees.items()
-    }
-    taken: dict[str, list[float]] = {name: [] for name in trees}
+    for trainer in trainers.values():
+        trainer.begin(model, clouds)
+    taken: dict[str, list[float]] = {name: [] for name in trainers}
     for turn in range(turns + 1):
         for name, trainer in trainers.items():
             milliseconds = trainer.step()
             if turn:
                 taken[name].append(milliseconds)
-    for trainer in trainers.values():
-        trainer.close()
     return {name: statistics.median(values) for name, values in taken.items()}
 
 
@@ -160,17 +167,19 @@ def main() -> None:
         folder = Path(made)
         clouds = folder / "clouds.npz"
         write_clouds(arguments.data, clouds)
-        trees = {
-            base: (unpack(base, folder / str(i)), FULL_PRECISION)
+        trainers = {
+            base: Trainer(unpack(base, folder / str(i)), FULL_PRECISION)
             for i, base in enumerate(arguments.base)
         }
-        new = {NEW: (HERE, FULL_PRECISION)}
-        new |= {f"{NEW}, {precision}": (HERE, precision) for precision in arguments.also}
+        new = {NEW: Trainer(HERE, FULL_PRECISION)}
+        new |= {f"{NEW}, {precision}": Trainer(HERE, precision) for precision in arguments.also}
         rows = {}
         for model in arguments.models:
-            rows[model] = measure(model, trees | new, clouds, arguments.turns)
+            rows[model] = measure(model, trainers | new, clouds, arguments.turns)
             sys.stdout.write(f"{model:<24}{rows[model]}\n")
             sys.stdout.flush()
+        for trainer in (trainers | new).values():
+            trainer.close()
     page = (
         f"# What a training cloud costs\n\nCPU milliseconds a cloud on one core ({processor()}, "
         f"torch {torch.__version__}): batches of {BATCH} clouds of 256 points, as the `board` "

@@ -1,10 +1,11 @@
 """Trains one model under the ``board`` preset, as many steps as ``benchmarks.training`` says.
 
-    python -P benchmarks/training_worker.py ORDER     with PYTHONPATH the tree to be measured
+    python -P benchmarks/training_worker.py     with PYTHONPATH the tree to be measured
 
-ORDER is a JSON object: model, options, clouds (an .npz), precision. Each line of stdin is a number
-of steps; the answer is a JSON line with the CPU seconds that they took. The same file serves trees
-of the past, so it finds what it needs by the names it has had.
+A line of stdin is JSON: an object says which model is trained from now on (model, options, clouds
+(an .npz), precision), a number how many steps are taken, and the answer is the CPU seconds that
+they took. The same file serves trees of the past, so it finds what it needs by the names it has
+had.
 """
 
 from __future__ import annotations
@@ -88,17 +89,20 @@ def steps(order: dict[str, Any]) -> Iterator[None]:
 
 
 def main() -> None:
-    order = json.loads(sys.argv[1])
     torch.set_num_threads(1)
     keep = found(
         "keep_freed_memory",
         "partialbench.benchmark.training.memory", "partialbench.benchmark.memory",
     )  # fmt: skip
     keep()
-    training = steps(order)
+    training: Iterator[None] = iter(())
     for line in sys.stdin:
+        order = json.loads(line)
+        if isinstance(order, dict):
+            training = steps(order)
+            continue
         start = time.process_time()
-        for _ in range(int(line)):
+        for _ in range(order):
             next(training)
         sys.stdout.write(json.dumps(time.process_time() - start) + "\n")
         sys.stdout.flush()

@@ -59,7 +59,8 @@ def test_full_balls_are_one_block_and_rows_are_never_more_than_padded() -> None:
     assert lone.weight.view(4, 2).tolist() == [[32, 0]] * 4
 
 
-def test_layers_see_what_they_would_see_of_the_padded_balls() -> None:
+@pytest.mark.parametrize("width", [8, 20], ids=["by covariances", "from the rows"])
+def test_layers_see_what_they_would_see_of_the_padded_balls(width: int) -> None:
     """Values, gradients and running statistics, in double precision."""
     torch.manual_seed(0)
     points = torch.rand(2, 60, 3, dtype=torch.float64)
@@ -70,7 +71,7 @@ def test_layers_see_what_they_would_see_of_the_padded_balls() -> None:
     results = []
     for dense in (True, False):
         torch.manual_seed(1)
-        mlp, x = SharedMLP(5, 8, 6).double(), features.clone().requires_grad_()
+        mlp, x = SharedMLP(5, width, 8, 6).double(), features.clone().requires_grad_()
         y = mlp.max(x[padded]) if dense else mlp.max_in_balls(x[balls.point], balls)
         (y * torch.linspace(-1, 1, 6, dtype=y.dtype)).sum().backward()
         statistics = [b.double() for b in mlp.buffers()]
