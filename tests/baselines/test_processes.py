@@ -20,7 +20,8 @@ from papnet.steered.descriptor import DegreeNorm
 from papnet.steered.edge_layer import EdgeLayer, collect_edges
 
 LAYERS = (
-    "linear", "wide linear", "mlp", "edge convolution", "set abstraction", "edge layer", "steerable",
+    "linear", "mlp", "edge convolution", "set abstraction", "edge layer", "steerable",
+    "wide linear",
     "steerable without scalars", "degree 0", "degree 2",
 )  # fmt: skip
 """Every way that moments are taken in."""
