@@ -7,7 +7,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from baselines.points import distances, farthest_from_centre, farthest_points, gather
+from baselines.points import (
+    distances,
+    farthest_from_centre,
+    farthest_points,
+    gather,
+    smallest,
+)
 
 PUBLISHED_POINTS = 1024
 QUIRKS = {
@@ -52,4 +58,4 @@ def nearest(anchors: Tensor, points: Tensor, k: int) -> Tensor:
     """Indices (B,S,k) of the k points (B,N,3) nearest to each anchor (B,S,3), in no particular
     order; all N of a smaller cloud."""
     k = min(k, points.shape[1])
-    return distances(anchors, points).topk(k, dim=-1, largest=False, sorted=False).indices
+    return smallest(distances(anchors, points), k)[1]

@@ -4,7 +4,8 @@ A ball query pads every ball to one length with its first point, and the publish
 a row for each entry. Where balls are sparse most rows are such copies: of 256-point clouds about
 half. A copy changes no maximum, and in batch norm's statistics it is a weight. So each ball keeps
 its distinct points, rounded up to one of a few lengths; balls of one length form a block, which is
-dense.
+dense. How many that leaves only the data say, which a device would have to be waited for: on those
+the padding stays, its rows without weight.
 """
 
 from __future__ import annotations
@@ -49,6 +50,8 @@ def without_padding(index: Tensor, number: int) -> Balls:
     """
     flat = flat_index(index, number).flatten(0, 1)
     n = flat.shape[1]
+    if index.device.type != "cpu":
+        return _padded(index, flat)
     found = 1 + (flat[:, 1:] != flat[:, :1]).sum(dim=1)
     step = -(-n // LENGTHS)
     units = -(-found // step)
@@ -75,3 +78,13 @@ def without_padding(index: Tensor, number: int) -> Balls:
         tuple(blocks),
         order.argsort(),
     )
+
+
+def _padded(index: Tensor, flat: Tensor) -> Balls:
+    """All entries of balls (B,S,n), (Q,n), in one block."""
+    balls, n = flat.shape
+    place = torch.arange(balls, device=flat.device)
+    own = (flat != flat[:, :1]).float()
+    own[:, 0] = n - own[:, 1:].sum(dim=1)
+    centre = place[:, None].expand(balls, n).flatten()
+    return Balls(index, flat.flatten(), centre, own.flatten(), ((balls, n),), place)

@@ -110,7 +110,7 @@ class JoinedMax(NormLinear):
         size, count = x.shape[1], x.shape[0] * x.shape[1]
         mean, covariance = moments(x.flatten(0, 1))
         if index is None:
-            sums, degree = x.sum(dim=1), g.new_tensor(float(size))
+            sums, degree = x.sum(dim=1), g.new_full((), float(size))
         else:
             rows, ones = index.flatten(), g.new_ones(1).expand(count)
             degree = g.new_zeros(len(g)).index_add_(0, rows, ones)[:, None]

@@ -33,8 +33,9 @@ from baselines.points import (
     full_precision,
     gather,
     normalise,
+    smallest,
 )
-from baselines.shared_mlp import NormLinear
+from baselines.shared_mlp import NormLinear, chunks
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -86,7 +87,7 @@ def rri(
         points = precise.to(dtype or full_precision(points).dtype)
         distance = distances(points, points)
         distance.diagonal(dim1=1, dim2=2).fill_(torch.inf)
-        nearest = distance.topk(k, dim=-1, largest=False, sorted=False).indices
+        nearest = smallest(distance, k)[1]
         # What the ramps make steep is computed in double precision: k angles a point, not k².
         q = gather(precise, nearest)
         r = torch.linalg.vector_norm(precise, dim=-1)
@@ -101,14 +102,22 @@ def rri(
         theta = (torch.atan2(length, along) * fade).to(points.dtype)
         has_direction = (length / shortest).clamp_max(1).to(points.dtype)
         angle = torch.atan2(y, x).to(points.dtype)
-        psi = angle[..., None, :] - angle[..., None]
-        psi = torch.where(psi < 0, psi + 2 * math.pi, psi)
-        # A neighbour is its own follower at ψ = 0, which the ramp makes LARGEST.
-        psi += (1 - psi / ramp).clamp_min_(0).mul_(LARGEST)
-        psi += LARGEST * (1 - has_direction[..., None, :])
-        phi = psi.amin(dim=-1).clamp_max_(LARGEST) * has_direction * fade.to(points.dtype)
+        phi = torch.empty_like(theta)
+        for part in chunks(len(points), points.shape[1] * k * k, points.device):
+            phi[part] = _to_follower(angle[part], has_direction[part], ramp)
+        phi *= fade.to(points.dtype)
         r, r_k = r.to(points.dtype), r_k.to(points.dtype)
         return torch.stack([r[..., None].expand_as(r_k), r_k, theta, phi], dim=-1)
+
+
+def _to_follower(angle: Tensor, has_direction: Tensor, ramp: float) -> Tensor:
+    """φ (…,k) from the angles (…,k) of the neighbours about p."""
+    psi = angle[..., None, :] - angle[..., None]
+    psi.add_((psi < 0).to(psi.dtype), alpha=2 * math.pi)
+    # A neighbour is its own follower at ψ = 0, which the ramp makes LARGEST.
+    psi.add_((psi * (-1 / ramp)).add_(1).clamp_min_(0), alpha=LARGEST)
+    psi.add_((1 - has_direction)[..., None, :], alpha=LARGEST)
+    return psi.amin(dim=-1).clamp_max_(LARGEST).mul_(has_direction)
 
 
 class RRIPointNet2(nn.Module):

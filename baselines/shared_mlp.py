@@ -1,4 +1,4 @@
-"""A linear layer shared by all points, with batch norm, computed without batch norm's passes.
+"""A linear layer shared by all points, with batch norm, in as few passes over memory as it takes.
 
 The published networks normalise y = W·x + b over every point (or edge) of the batch. The mean and
 variance of y follow from those of x:
@@ -6,9 +6,11 @@ variance of y follow from those of x:
     mean(y) = W·mean(x) + b,      var(y) = diag(W·Cov(x)·Wᵀ)
 
 so the norm's scale and shift are known before y is, and fold into the weights: one matrix product
-gives the normalised value, and a maximum over points can be taken without keeping y. The results
-are those of ``nn.Linear`` followed by ``nn.BatchNorm1d``, gradients and running statistics
-included, up to rounding.
+gives the normalised value, and a maximum over points can be taken without keeping y. Cov(x) costs
+C_in² multiplications a row and its gradient as many again; where y has few channels for that and is
+kept anyway, its variance is summed from y itself, which comes out of the product centred
+(``_NormActivate``). The results are those of ``nn.Linear`` followed by ``nn.BatchNorm1d``,
+gradients and running statistics included, up to rounding.
 
 Layout: channels last, (…,C).
 """
@@ -20,16 +22,23 @@ from itertools import pairwise
 from typing import Any
 
 import torch
+import torch.distributed as dist
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from baselines.balls import Balls
-from baselines.processes import pooled
+from baselines.processes import pooled, world_size
 
 CHUNK, DEVICE_CHUNK = 1 << 20, 1 << 26
 """Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache, and on
 other devices 256 MB, so that there are few launches and little memory still."""
+COVARIANCE_BELOW = 13
+"""Squared input channels per output channel up to which a covariance of inputs is the cheaper way
+to the variances of outputs that are kept. Measured on one core with AVX-512."""
+FEW_ROWS = 40
+"""Rows a group up to which the gradient of a maximum is a product with a matrix of mostly zeros
+rather than a visit to the chosen rows. Measured likewise."""
 
 
 def chunks(rows: int, values_per_row: int, device: torch.device) -> list[slice]:
@@ -44,10 +53,15 @@ def maximum(y: Tensor, top: Tensor, index: Tensor | None) -> None:
     Comparing with the maximum is several times faster than a maximum with index.
     """
     torch.amax(y, dim=1, out=top)
-    if index is not None:
-        rank = torch.arange(y.shape[1], dtype=index.dtype, device=y.device)[:, None]
-        hit = torch.where(y == top[:, None], rank, y.shape[1] - 1)
-        torch.amin(hit, dim=1, out=index)
+    if index is None:
+        return
+    last = y.shape[1] - 1
+    if last < 256:  # bytes are several times faster than whole numbers of 32 bits
+        back = torch.arange(last, -1, -1, dtype=torch.uint8, device=y.device)[:, None]
+        index.copy_((y == top[:, None]).view(torch.uint8).mul_(back).amax(dim=1)).neg_().add_(last)
+        return
+    rank = torch.arange(y.shape[1], dtype=index.dtype, device=y.device)[:, None]
+    torch.amin(torch.where(y == top[:, None], rank, last), dim=1, out=index)
 
 
 class _Moments(torch.autograd.Function):
@@ -81,11 +95,116 @@ def moments(rows: Tensor) -> tuple[Tensor, Tensor]:
     return _Moments.apply(rows, len(rows), None)
 
 
+class _NormActivate(torch.autograd.Function):
+    """Batch norm and leaky ReLU of y + centre, rows (R,C), y centred: its mean is ``centre``.
+
+    apply(y, gain, bias, centre and constant (C,), w (R,) or None, count, eps, slope) → the rows,
+    and mean, variance and count over the values of all processes. Row r counts w_r times of
+    ``count``. The norm cancels the constant, which therefore has a gradient of zero, or is None.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, y: Tensor, gain: Tensor, bias: Tensor, centre: Tensor, constant: Tensor | None,
+        w: Tensor | None, count: int, eps: float, slope: float,
+    ) -> tuple[Tensor, Tensor, Tensor, int | Tensor]:  # fmt: skip
+        parts = _small_chunks(y)
+        square = torch.zeros_like(centre)
+        for part in parts:
+            values = y[part].to(centre.dtype)
+            square += _column_sums(values * values, None if w is None else w[part])
+        mean, var, total = pooled(centre, square / count, count)
+        inverse = torch.rsqrt(var + eps)
+        scale, off = gain * inverse, centre - mean
+        shift = torch.addcmul(bias, scale, off)
+        out = torch.empty_like(y)
+        for part in parts:
+            if y.dtype == scale.dtype:
+                _activate(torch.addcmul(shift, y[part], scale, out=out[part]), slope)
+            else:
+                out[part] = _activate(torch.addcmul(shift, y[part], scale), slope)
+        ctx.save_for_backward(y, out, scale, inverse, off, w)
+        ctx.total, ctx.slope, ctx.constant = total, slope, constant is not None
+        mean = mean if constant is None else mean + constant
+        ctx.mark_non_differentiable(mean, var)
+        return out, mean, var, total
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_out: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
+        y, out, scale, inverse, off, w = ctx.saved_tensors
+        parts = _small_chunks(y)
+        d_y = torch.empty_like(y)
+        sums = scale.new_zeros(2, len(scale))
+        for part in parts:
+            d = _before(d_out[part], out[part], ctx.slope, d_y[part])
+            sums[0] += d.sum(dim=0, dtype=scale.dtype)
+            sums[1] += (d.to(scale.dtype) * y[part]).sum(dim=0)
+        sums[1] += off * sums[0]
+        d_bias, d_gain = sums[0].clone(), sums[1] * inverse
+        if world_size() > 1:
+            dist.all_reduce(sums)
+        # Mean and variance move with every row: less their share, one flat and one along y.
+        along = scale * inverse.square() * sums[1] / ctx.total
+        flat = scale * sums[0] / ctx.total + along * off
+        for part in parts:
+            share = torch.addcmul(flat, y[part], along)
+            if w is not None:
+                share.mul_(w[part, None])
+            if y.dtype == scale.dtype:
+                d_y[part].mul_(scale).sub_(share)
+            else:
+                d_y[part] = share.neg_().addcmul_(d_y[part].to(scale.dtype), scale)
+        return (
+            d_y, d_gain, d_bias, None, torch.zeros_like(scale) if ctx.constant else None, None,
+            None, None, None,
+        )  # fmt: skip
+
+
+def _small_chunks(y: Tensor) -> list[slice]:
+    """Of rows that several operands share a cache with."""
+    return chunks(len(y), 8 * y.shape[1], y.device)
+
+
+def _column_sums(values: Tensor, w: Tensor | None) -> Tensor:
+    """(C,) of (R,C), row r taken w_r times."""
+    return values.sum(dim=0) if w is None else w @ values
+
+
+def _activate(values: Tensor, slope: float) -> Tensor:
+    """Leaky ReLU in place; the slope is 1 for none."""
+    if slope == 1:
+        return values
+    return F.leaky_relu_(values, slope) if slope else values.relu_()
+
+
+def _before(d: Tensor, out: Tensor, slope: float, into: Tensor) -> Tensor:
+    """The gradient before a leaky ReLU from that after it and its values, written to ``into``."""
+    if slope == 1:
+        return into.copy_(d)
+    if slope:
+        return torch.ops.aten.leaky_relu_backward.grad_input(d, out, slope, True, grad_input=into)
+    return torch.ops.aten.threshold_backward.grad_input(d, out, 0, grad_input=into)
+
+
+def accumulator(weight: Tensor) -> Tensor:
+    """Zeros for a gradient of ``weight`` that is summed part by part, never in a half precision."""
+    return torch.zeros_like(weight, dtype=torch.promote_types(weight.dtype, torch.float32))
+
+
+def accumulate(total: Tensor, a: Tensor, b: Tensor) -> None:
+    """Adds a·b to an ``accumulator``."""
+    if a.dtype == total.dtype:
+        total.addmm_(a, b)
+    else:
+        total += a @ b
+
+
 class _LinearMax(torch.autograd.Function):
     """max over n of x (G,n,C_in) · weightᵀ + bias → (G,C_out), never kept before the maximum.
 
-    One point alone decides each output, so the backward pass visits G·C_out points instead of
-    multiplying by a matrix of G·n rows that is zero but for those.
+    One point alone decides each output. Of large groups the backward pass visits those G·C_out
+    points; of small ones it multiplies by the matrix of G·n rows that is zero but for them.
     """
 
     @staticmethod
@@ -106,7 +225,17 @@ class _LinearMax(torch.autograd.Function):
         x, weight, index = ctx.saved_tensors
         groups, size, channels = x.shape
         rows = x.flatten(0, 1)
-        d_rows, d_weight = torch.zeros_like(rows), torch.zeros_like(weight)
+        d_weight = accumulator(weight)
+        if size <= FEW_ROWS:
+            d_x = torch.empty_like(x)
+            for part in chunks(groups, size * len(weight), x.device):
+                d_y = x.new_zeros(len(d_top[part]), size, len(weight))
+                d_y.scatter_(1, index[part, None].long(), d_top[part, None])
+                flat = d_y.flatten(0, 1)
+                accumulate(d_weight, flat.T, x[part].flatten(0, 1))
+                torch.mm(flat, weight, out=d_x[part].flatten(0, 1))
+            return d_x, d_weight, d_top.sum(dim=0)
+        d_rows = torch.zeros_like(rows)
         first = torch.arange(0, groups * size, size, device=x.device)[:, None]
         for part in chunks(groups, weight.numel(), x.device):
             flat = (index[part] + first[part]).flatten()
@@ -209,9 +338,30 @@ class NormLinear(Normed):
                 shift = torch.addcmul(shift, scale, bias)
             return scale[:, None] * weight, shift
 
-    def forward(self, x: Tensor, balls: Balls | None = None) -> Tensor:
-        """(…,C_in) → (…,C_out), normalised, without activation; ``balls`` as for ``folded``."""
-        return F.linear(x, *self.folded(x, balls))
+    def forward(self, x: Tensor, balls: Balls | None = None, slope: float = 1.0) -> Tensor:
+        """(…,C_in) → (…,C_out), normalised, then leaky ReLU; ``balls`` as for ``folded``.
+
+        Args:
+            slope: of the leaky ReLU, 0 for a ReLU, 1 for none.
+        """
+        inputs, outputs = x.shape[-1], len(self.linear.weight)
+        if not self.norm.training or inputs**2 <= COVARIANCE_BELOW * outputs:
+            y = F.linear(x.reshape(-1, inputs), *self.folded(x, balls))
+            # On rows: in place on a view autograd copies the gradient.
+            return _activate(y, slope).view(*x.shape[:-1], outputs)
+        rows = x.reshape(-1, inputs)
+        count = len(rows) if balls is None else balls.index.numel()
+        weight, bias, norm = self.linear.weight, self.linear.bias, self.norm
+        with torch.no_grad(), torch.autocast(x.device.type, enabled=False):
+            w = None if balls is None else balls.weight.to(weight.dtype)
+            centre = weight @ (_column_sums(rows.to(weight.dtype), w) / count)
+        # The norm cancels whatever is constant: no gradient goes there, and the bias has none.
+        y = F.linear(rows, weight, -centre)
+        out, mean, var, total = _NormActivate.apply(
+            y, norm.weight, norm.bias, centre, bias, w, count, norm.eps, slope
+        )
+        self._track(mean, var, total)
+        return out.view(*x.shape[:-1], outputs)
 
     def max(self, x: Tensor) -> Tensor:
         """(…,n,C_in) → (…,C_out): the largest normalised value over n.
@@ -251,17 +401,16 @@ class SharedMLP(nn.ModuleList):
         """Rows (R,C) → (Q,C_out): the same over each ball."""
         *inner, last = self
         for layer in inner:
-            x = F.relu_(layer(x, balls))
+            x = layer(x, balls, slope=0.0)
         assert isinstance(last, NormLinear)
         return F.relu_(last.max_in_balls(x, balls))
 
 
 def activated(layers: Iterable[nn.Module], x: Tensor, slope: float = 0.0) -> Tensor:
     """Layers with (leaky) ReLU after each, (…,C) → (…,C_out)."""
-    # On rows: the activation is in place, and in place on a view autograd copies the gradient.
     rows = x.reshape(-1, x.shape[-1])
     for layer in layers:
-        rows = F.leaky_relu_(layer(rows), slope) if slope else F.relu_(layer(rows))
+        rows = layer(rows, slope=slope)
     return rows.view(*x.shape[:-1], -1)
 
 

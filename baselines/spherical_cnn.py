@@ -11,17 +11,23 @@ The published input is ray-cast from a mesh. A cloud has no faces, so the functi
 the upper envelope of one bump per point, as high as the point is far, a few grid cells wide. It
 turns with the cloud exactly, needs no binning and so no filling of holes, and stays near zero in
 directions that were not seen.
+
+Functions are (B,C,n,n) tensors that lie in memory as (φ,θ,B,C): every stage is then a product or a
+pass over what is there, and nothing is moved.
 """
 
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 
 from baselines.points import normalise
+from baselines.shared_mlp import chunks
 from baselines.spherical_transform import SphericalTransform, colatitudes, directions
 from partialbench.benchmark.prediction import Prediction
 
@@ -33,8 +39,8 @@ ANCHORS = 8
 # Half height two cells (5.6°) off the point's direction.
 CONCENTRATION = float(np.log(2) / (1 - np.cos(2 * np.pi / RESOLUTION)))
 
-# Bytes of point-by-direction products kept at a time.
-_CHUNK_BYTES = 256 << 20
+# Bytes of point-by-direction products kept at a time; on a CPU (True) what a cache holds.
+_CHUNK_BYTES = {True: 4 << 20, False: 256 << 20}
 
 
 def extent(points: Tensor, n: int = RESOLUTION) -> Tensor:
@@ -50,16 +56,14 @@ def extent(points: Tensor, n: int = RESOLUTION) -> Tensor:
         omega = torch.as_tensor(directions(n).reshape(-1, 3), dtype=torch.float32)
         omega = omega.to(points.device)
         radius = points.float().norm(dim=-1, keepdim=True).clamp_min(1e-9)
-        towards = CONCENTRATION * points.float() / radius
-        # The maximum of exponentials is the exponential of a maximum of linear forms in ω.
+        # The maximum of exponentials is the exponential of a maximum of linear forms in (ω, 1).
+        omega = nn.functional.pad(omega, (0, 1), value=1.0)
         offset = radius.log() - CONCENTRATION
-        chunk = max(1, _CHUNK_BYTES // (4 * len(omega) * max(1, points.shape[1])))
-        envelopes = [
-            torch.baddbmm(o.transpose(1, 2), omega.expand(len(t), -1, -1), t.transpose(1, 2)).amax(
-                -1
-            )
-            for t, o in zip(towards.split(chunk), offset.split(chunk), strict=True)
-        ]
+        forms = torch.cat([CONCENTRATION * points.float() / radius, offset], dim=-1)
+        chunk = max(
+            1, _CHUNK_BYTES[points.device.type == "cpu"] // (4 * len(omega) * points.shape[1])
+        )
+        envelopes = [(omega @ part.mT).amax(-1) for part in forms.split(chunk)]
         return torch.cat(envelopes).exp().view(len(points), n, n)
 
 
@@ -95,12 +99,42 @@ class ZonalConvolution(nn.Module):
         """(B,C_in,n,n) → (B,C_out,n,n)."""
         # Transforms lose too much in half precision.
         with torch.autocast(x.device.type, enabled=False):
-            coefficients = self.transform(x.to(self.anchors.dtype))  # (m,l,B,C_in)
+            columns = x.to(self.anchors.dtype).permute(3, 2, 0, 1)
+            coefficients = self.transform.analyse(columns.flatten(2))  # (2,m,l,B·C_in)
             filters = torch.einsum("ioa,al->lio", self.anchors, self.interpolation)
-            pairs = torch.view_as_real(coefficients).movedim(-1, 2)  # (m,l,2,B,C_in)
-            mixed = pairs.flatten(2, 3) @ filters
-            mixed = mixed.unflatten(2, (2, x.shape[0])).movedim(2, -1).contiguous()
-            return self.transform.inverse(torch.view_as_complex(mixed))
+            mixed = coefficients.unflatten(3, (len(x), -1)) @ filters
+            y = self.transform.synthesise(mixed.flatten(3))
+            return y.unflatten(2, (len(x), -1)).permute(2, 3, 1, 0)
+
+
+class _ShiftedPReLU(torch.autograd.Function):
+    """PReLU of x + shift, rows (R,C), shift and slope (C,)."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, shift: Tensor, slope: Tensor) -> Tensor:
+        out = torch.empty_like(x)
+        for part in chunks(len(x), 8 * x.shape[1], x.device):
+            z = torch.add(x[part], shift, out=out[part])
+            z.addcmul_(z.clamp_max(0), slope - 1)
+        ctx.save_for_backward(x, shift, slope)
+        return out
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_out: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        x, shift, slope = ctx.saved_tensors
+        d_x, d_shift, d_slope = (
+            torch.empty_like(x),
+            torch.zeros_like(shift),
+            torch.zeros_like(slope),
+        )
+        for part in chunks(len(x), 8 * x.shape[1], x.device):
+            d, z = d_out[part], x[part] + shift
+            positive = torch.ops.aten.threshold_backward(d, z, 0)
+            torch.addcmul(positive, d - positive, slope, out=d_x[part])
+            d_shift += d_x[part].sum(dim=0)
+            d_slope += z.clamp_max_(0).mul_(d).sum(dim=0)
+        return d_x, d_shift, d_slope
 
 
 class Block(nn.Module):
@@ -115,22 +149,28 @@ class Block(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B,C_in,n,n) → (B,C_out,n,n)."""
-        return self.activation(self.norm(self.convolution(x)) + self.shift)
+        y = self.convolution(x).permute(3, 2, 0, 1)
+        rows = self.norm(y.reshape(-1, y.shape[3], 1, 1)).view(-1, y.shape[3])
+        rows = _ShiftedPReLU.apply(rows, self.shift.flatten(), self.activation.weight)
+        return rows.view(y.shape).permute(2, 3, 1, 0)
 
 
 class AreaPool(nn.Module):
     """2×2 mean weighted by the cells' areas: (B,C,n,n) → (B,C,n/2,n/2)."""
 
-    fine: Tensor
-    coarse: Tensor
+    upper: Tensor
+    lower: Tensor
 
     def __init__(self, n: int) -> None:
         super().__init__()
-        self.register_buffer("fine", cell_areas(n), persistent=False)
-        self.register_buffer("coarse", cell_areas(n // 2), persistent=False)
+        share = cell_areas(n) / (4 * cell_areas(n // 2).repeat_interleave(2, dim=0))
+        self.register_buffer("upper", share[0::2, :, None], persistent=False)
+        self.register_buffer("lower", share[1::2, :, None], persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        return nn.functional.avg_pool2d(x * self.fine, 2) / self.coarse
+        pairs = x.permute(3, 2, 0, 1).unflatten(0, (-1, 2)).unbind(1)  # of φ
+        upper, lower = (pairs[0] + pairs[1]).unflatten(1, (-1, 2)).unbind(2)  # of θ
+        return torch.addcmul(upper * self.upper, lower, self.lower).permute(2, 3, 1, 0)
 
 
 class SphericalCNN(nn.Module):

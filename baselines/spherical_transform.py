@@ -67,12 +67,17 @@ def legendre(n: int) -> NDArray[np.float64]:
 
 
 class SphericalTransform(nn.Module):
-    """Forward and inverse transform at one resolution, as matrix products after an FFT over φ.
+    """Forward and inverse transform at one resolution, as matrix products along φ and along θ.
+
+    A product along φ reads and writes each value once, in the order in which it lies; a fast
+    transform would save multiplications and pay for them in moved memory.
 
     Args:
         n: rows and columns of the grid, even; degrees below n/2 are kept.
     """
 
+    waves: Tensor
+    back: Tensor
     analysis: Tensor
     synthesis: Tensor
 
@@ -80,27 +85,42 @@ class SphericalTransform(nn.Module):
         super().__init__()
         self.n, self.band = n, n // 2
         table = legendre(n)
+        angle = np.outer(np.arange(self.band), longitudes(n))
+        waves = np.concatenate([np.cos(angle), -np.sin(angle)])  # (2·m,φ)
+        # A real function's m < 0 repeat its m > 0.
+        twice = np.where(np.arange(self.band) > 0, 2.0, 1.0)
+        back = waves.T * np.tile(twice, 2)
         # ∫ over φ is a sum times 2π/n.
         analysis = table * quadrature_weights(n) * (2 * np.pi / n)
-        self.register_buffer("analysis", torch.tensor(analysis).float(), persistent=False)
-        synthesis = table.transpose(0, 2, 1)
-        self.register_buffer("synthesis", torch.tensor(synthesis).float(), persistent=False)
+        constants = {
+            "waves": waves, "back": back,
+            # Once for the real and once for the imaginary parts.
+            "analysis": np.concatenate([analysis] * 2),
+            "synthesis": np.concatenate([table.transpose(0, 2, 1)] * 2),
+        }  # fmt: skip
+        for name, value in constants.items():
+            self.register_buffer(name, torch.tensor(value).float(), persistent=False)
+
+    def analyse(self, x: Tensor) -> Tensor:
+        """Real functions (φ,θ,K) → (2,m,l,K), real and imaginary parts, m ≥ 0."""
+        waves = self.waves.to(x.dtype) @ x.flatten(1)
+        found = torch.bmm(self.analysis.to(x.dtype), waves.view(2 * self.band, self.n, -1))
+        return found.view(2, self.band, self.band, -1)
+
+    def synthesise(self, coefficients: Tensor) -> Tensor:
+        """(2,m,l,K) → real functions (φ,θ,K)."""
+        matrices = self.synthesis.to(coefficients.dtype)
+        waves = torch.bmm(matrices, coefficients.flatten(0, 1))
+        return (self.back.to(coefficients.dtype) @ waves.flatten(1)).view(self.n, self.n, -1)
 
     def forward(self, x: Tensor) -> Tensor:
         """Real functions (…,n,n), θ then φ → coefficients (m,l,…) complex, m ≥ 0."""
-        waves = torch.fft.rfft(x, dim=-1)[..., : self.band]  # (…,θ,m)
-        waves = waves.movedim((-1, -2), (0, 1))  # (m,θ,…)
-        return _multiply(self.analysis.to(x.dtype), waves)
+        columns = x.movedim((-1, -2), (0, 1)).reshape(self.n, self.n, -1)
+        parts = self.analyse(columns).movedim(0, -1).contiguous()
+        return torch.view_as_complex(parts).view(self.band, self.band, *x.shape[:-2])
 
     def inverse(self, coefficients: Tensor) -> Tensor:
         """Coefficients (m,l,…) complex → real functions (…,n,n)."""
-        waves = _multiply(self.synthesis.to(coefficients.real.dtype), coefficients)
-        waves = waves.movedim((0, 1), (-1, -2))
-        return torch.fft.irfft(waves * self.n, n=self.n, dim=-1)
-
-
-def _multiply(matrix: Tensor, waves: Tensor) -> Tensor:
-    """(m,a,b) real × (m,b,…) complex → (m,a,…), as one real product."""
-    pairs = torch.view_as_real(waves.resolve_conj())
-    product = matrix @ pairs.reshape(*pairs.shape[:2], -1)
-    return torch.view_as_complex(product.view(*product.shape[:2], *pairs.shape[2:]))
+        parts = torch.view_as_real(coefficients.resolve_conj()).movedim(-1, 0)
+        x = self.synthesise(parts.reshape(2, self.band, self.band, -1))
+        return x.view(self.n, self.n, *coefficients.shape[2:]).movedim((0, 1), (-1, -2))

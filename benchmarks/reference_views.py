@@ -70,12 +70,19 @@ class NaiveTransform(SphericalTransform):
             flat = torch.tensor(value.reshape((n // 2) ** 2, n * n)).to(torch.complex64)
             self.register_buffer(name, flat, persistent=False)
 
+    def analyse(self, x: Tensor) -> Tensor:
+        return torch.view_as_real(self(x.permute(2, 1, 0))).movedim(-1, 0)
+
+    def synthesise(self, coefficients: Tensor) -> Tensor:
+        parts = coefficients.movedim(0, -1).contiguous()
+        return self.inverse(torch.view_as_complex(parts)).permute(2, 1, 0)
+
     def forward(self, x: Tensor) -> Tensor:
         out = x.flatten(-2).to(torch.complex64) @ self.get_buffer("conjugate").T
         return out.unflatten(-1, (self.band, self.band)).movedim((-2, -1), (0, 1))
 
     def inverse(self, coefficients: Tensor) -> Tensor:
-        twice = torch.full((self.band, 1, 1, 1), 2.0)
+        twice = torch.full((self.band, 1, 1), 2.0)
         twice[0] = 1  # a real function's m < 0 repeat its m > 0
         flat = (coefficients * twice).movedim((0, 1), (-2, -1)).flatten(-2)
         return (flat @ self.get_buffer("harmonics")).real.unflatten(-1, (self.n, self.n))

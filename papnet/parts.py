@@ -60,7 +60,7 @@ class Backbone(nn.Module):
 
     def forward(self, points: Tensor, grid: int) -> Tensor:
         """(B,N,3) normalised clouds → (B,256,grid/4,grid/4,grid/4)."""
-        x = self.first(occupancy(points, grid))
+        x = self.first(occupancy(points, grid), points.shape[1])
         x = self.halve(self.conv22(self.conv21(x)))
         fine = self.conv24(self.conv23(x))
         middle = self.conv32(self.conv31(fine))
@@ -71,9 +71,10 @@ class Backbone(nn.Module):
         pyramid = [(fine, uniform(4)), (middle, uniform(8)), (coarse, uniform(16))]
         return self.convp1(concatenate(pyramid))
 
-    def first(self, volume: Tensor) -> Tensor:
-        """(B,1,X,X,X) occupancy → the first layer's output at half the edge."""
-        return pooled_first_layer(self.conv1, volume)
+    def first(self, volume: Tensor, points: int) -> Tensor:
+        """(B,1,X,X,X) occupancy by so many points → the first layer's output at half the edge."""
+        known = None if volume.device.type == "cpu" else points
+        return pooled_first_layer(self.conv1, volume, known)
 
     def halve(self, x: Tensor) -> Tensor:
         """To half the edge."""

@@ -33,7 +33,7 @@ def nearest_bin(rotation: Tensor) -> Tensor:
 def soft_target(rotation: Tensor) -> Tensor:
     """(B,60): 0.4 on the nearest bin and 0.2 on each of the next three."""
     order = similarity(rotation).topk(len(SOFT_WEIGHTS)).indices
-    weights = rotation.new_tensor(SOFT_WEIGHTS).expand(len(rotation), -1)
+    weights = torch.stack([rotation.new_full((len(rotation),), w) for w in SOFT_WEIGHTS], dim=1)
     return rotation.new_zeros(len(rotation), len(bins(rotation))).scatter_(1, order, weights)
 
 

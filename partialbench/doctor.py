@@ -8,7 +8,6 @@ import os
 import platform
 import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -136,18 +135,10 @@ def _torch() -> list[Finding]:
         return f"{torch.__version__}, {torch.get_num_threads()} threads"
 
     def bf16() -> str:
-        torch = extras.load("torch")
-        a = torch.rand(256, 256)
-        seconds = {}
-        for kind in (torch.float32, torch.bfloat16):
-            left = a.to(kind)
-            left @ left
-            start = time.perf_counter()
-            for _ in range(5):
-                left @ left
-            seconds[kind] = time.perf_counter() - start
-        ratio = seconds[torch.float32] / seconds[torch.bfloat16]
-        return f"a product is {ratio:.1f} times as fast as in 32 bits"
+        extras.load("torch")
+        from partialbench.benchmark.device import bf16_gain
+
+        return f"a product is {bf16_gain():.1f} times as fast as in 32 bits"
 
     def cuda() -> str:
         torch = extras.load("torch")

@@ -54,19 +54,24 @@ class GatedBlock(nn.Module):
 
     def gate(self, y: Tensor) -> Tensor:
         """The non-linearity alone: (B,C,X,Y,Z) with the gates after the scalars → (B,C_out,…)."""
-        bias = torch.cat([self.scalar_bias, self.gate_bias]).view(-1, 1, 1, 1).to(y.dtype)
-        pre, rest = y.split([len(bias), y.shape[1] - len(bias)], dim=1)
-        pre = pre + bias
-        scalars, gates = pre.split([len(self.scalar_bias), len(self.gate_bias)], dim=1)
+        # As they lie: of a spectral convolution the channels are innermost. To stack them degree by
+        # degree in another order would move every value twice, here and in the next layer.
+        inner = y.stride(1) == 1
+        axis = 4 if inner else 1
+        y = y.permute(2, 3, 4, 0, 1) if inner else y
+        bias = torch.cat([self.scalar_bias, self.gate_bias]).to(y.dtype)
+        pre, rest = y.split([len(bias), y.shape[axis] - len(bias)], dim=axis)
+        pre = pre + (bias if inner else bias.view(-1, 1, 1, 1))
+        scalars, gates = pre.split([len(self.scalar_bias), len(self.gate_bias)], dim=axis)
         parts = [torch.relu(scalars)]
-        if not rest.shape[1]:
-            return parts[0]
         gates = torch.sigmoid(gates)
         first = channel = 0
         for degree, m in enumerate(self.fields_out.multiplicities):
             if degree and m:
-                field = rest[:, channel : channel + m * (2 * degree + 1)]
-                gate = gates[:, first : first + m, None]
-                parts.append((field.unflatten(1, (m, 2 * degree + 1)) * gate).flatten(1, 2))
-                first, channel = first + m, channel + m * (2 * degree + 1)
-        return torch.cat(parts, dim=1)
+                components = 2 * degree + 1
+                field = rest.narrow(axis, channel, m * components).unflatten(axis, (m, components))
+                gate = gates.narrow(axis, first, m).unsqueeze(axis + 1)
+                parts.append((field * gate).flatten(axis, axis + 1))
+                first, channel = first + m, channel + m * components
+        out = torch.cat(parts, dim=axis) if len(parts) > 1 else parts[0]
+        return out.permute(3, 4, 0, 1, 2) if inner else out

@@ -22,7 +22,7 @@ from torch.autograd.function import once_differentiable
 
 from baselines.edges import edge_moments
 from baselines.points import flat_index, full_precision
-from baselines.shared_mlp import Normed, autocast, chunks, maximum
+from baselines.shared_mlp import Normed, accumulate, accumulator, autocast, chunks, maximum
 
 
 class Edges(NamedTuple):
@@ -98,11 +98,11 @@ class _EdgeMax(torch.autograd.Function):
         (points, k), outputs = index.shape, len(weight)
         chosen = chosen.long()
         d_a = torch.zeros_like(d_top).scatter_add_(0, index.gather(1, chosen), d_top)
-        d_weight = torch.zeros_like(weight)
+        d_weight = accumulator(weight)
         for part in chunks(points, k * outputs, e.device):
             d_y = d_top.new_zeros(len(d_top[part]), k, outputs)
             d_y.scatter_(1, chosen[part, None], d_top[part, None])
-            d_weight.addmm_(d_y.flatten(0, 1).T, e[part].flatten(0, 1))
+            accumulate(d_weight, d_y.flatten(0, 1).T, e[part].flatten(0, 1))
         return None, d_weight, d_a, None, None
 
 

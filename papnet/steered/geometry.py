@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from baselines.points import distances, gather
+from baselines.points import distances, gather, smallest
 from baselines.shared_mlp import chunks
 
 with warnings.catch_warnings():
@@ -63,6 +63,8 @@ class Geometry(NamedTuple):
 def harmonics(vectors: Tensor, lmax: int) -> Tensor:
     """(…,3) vectors v → (…,M): |v|^l·Y_l(v/|v|), Y_l of norm 1."""
     degrees = list(range(lmax + 1))
+    # Each coordinate by itself in memory: e3nn's polynomials are then of whole vectors.
+    vectors = vectors.movedim(-1, 0).contiguous().movedim(0, -1)
     return o3.spherical_harmonics(degrees, vectors, normalize=False, normalization="norm")
 
 
@@ -73,16 +75,17 @@ def directions(vectors: Tensor) -> Tensor:
 
 def shells(x: Tensor, centres: tuple[float, ...], width: float) -> Tensor:
     """Gaussians of (…) values at ``centres``, (…,S)."""
-    return torch.exp(-0.5 * ((x[..., None] - x.new_tensor(centres)) / width).square())
+    offsets = torch.stack([x - centre for centre in centres], dim=-1)
+    return torch.exp(-0.5 * (offsets / width).square())
 
 
 def per_degree(products: Tensor, lmax: int) -> Tensor:
-    """(…,M) → (…,lmax): the sums over the components of each degree above 0."""
+    """(…,S,M) → (…,S·lmax): the sums over the components of each degree above 0."""
     # As a product with zeros and ones: faster than sums over a few strided components.
-    device = products.device
-    degree = torch.arange((lmax + 1) ** 2, device=device).sqrt().floor()
-    belongs = degree[:, None] == torch.arange(1, lmax + 1, device=device)
-    return products @ belongs.to(products)
+    degree = torch.arange((lmax + 1) ** 2, device=products.device).sqrt().floor()
+    belongs = degree[:, None] == torch.arange(1, lmax + 1, device=products.device)
+    shells = torch.eye(products.shape[-2], device=products.device)
+    return products.flatten(-2) @ torch.kron(shells, belongs.float()).to(products)
 
 
 def num_features(lmax: int, scales: int = 1, ray: bool = False) -> tuple[int, int]:
@@ -126,7 +129,7 @@ def _geometry(points: Tensor, k: int, lmax: int, scales: int, ray: Tensor | None
         min(max(min(number // WIDE_SHARE, WIDE_MOST) * 2**scale, k), number - 1)
         for scale in range(scales)
     ]
-    near, index = distances(points, points).topk(sizes[-1] + 1, largest=False)
+    near, index = smallest(distances(points, points), sizes[-1] + 1)
     # The distance of the first point left out ends a neighbourhood; it is continuous, as every
     # order statistic is, though which point it belongs to is not.
     ends, narrow_end = [near[..., size] for size in sizes], near[..., k]
@@ -146,8 +149,8 @@ def _geometry(points: Tensor, k: int, lmax: int, scales: int, ray: Tensor | None
     of_points = [
         torch.stack([radius, *ends, narrow_end], dim=-1),
         moments[..., 0],
-        per_degree(moments.square(), lmax).sqrt().flatten(2),
-        per_degree(moments * outward[:, :, None], lmax).flatten(2),
+        per_degree(moments.square(), lmax).sqrt(),
+        per_degree(moments * outward[:, :, None], lmax),
     ]
     of_edges = [
         _edge_features(points, neighbours, near[..., :k], Y[:, :, :k], of_scales[0], outward, lmax)
@@ -157,7 +160,7 @@ def _geometry(points: Tensor, k: int, lmax: int, scales: int, ray: Tensor | None
         seen = harmonics(ray, lmax)[:, None, None]
         of_points += [
             (outward[..., 1:4] * seen[:, :, 0, 1:4]).sum(-1, keepdim=True),
-            per_degree(moments * seen, lmax).flatten(2),
+            per_degree(moments * seen, lmax),
         ]
         of_edges.append((Y[:, :, :k, 1:4] * seen[..., 1:4]).sum(-1, keepdim=True))
         fields.append(seen.expand(-1, number, -1, -1))
@@ -184,20 +187,32 @@ def _edge_features(
     outward: Tensor,
     lmax: int,
 ) -> Tensor:
-    """(B,N,k,F): the distance, three cosines, and how moments at both ends lie to the edge."""
-    there = gather(moments.flatten(2), neighbours).view(*Y.shape[:3], *moments.shape[2:])
+    """(B,N,k,F): the distance, three cosines, and how moments at both ends lie to the edge.
+
+    Component by component over all edges at once: a sum over a few values that lie side by side
+    keeps a processor's vectors empty.
+    """
+    shape, (S, M) = Y.shape[:3], moments.shape[2:]
     outward_there = gather(outward[..., 1:4], neighbours)
     edge, here = Y[..., 1:4], outward[:, :, None, 1:4]
     cosines = [(edge * here), (edge * outward_there), (here * outward_there)]
-    moments, edges = moments[:, :, None], Y[:, :, :, None]
+    there = gather(moments.flatten(2), neighbours).flatten(0, 2).T.contiguous().view(S, M, -1)
+    of_point = moments.flatten(0, 1).permute(1, 2, 0).repeat_interleave(shape[2], dim=2)
+    edges = Y.flatten(0, 2).T.contiguous()[None]
+    sums = edges.new_empty(3, S, lmax, edges.shape[2])
+    for into, (one, other) in zip(
+        sums, ((of_point, edges), (there, edges), (of_point, there)), strict=True
+    ):
+        for degree in range(1, lmax + 1):
+            first = degree**2
+            total = torch.mul(one[:, first], other[:, first], out=into[:, degree - 1])
+            for component in range(first + 1, (degree + 1) ** 2):
+                total.addcmul_(one[:, component], other[:, component])
     return torch.cat(
         [
             distance[..., None],
             *(product.sum(-1, keepdim=True) for product in cosines),
-            *(
-                per_degree(product, lmax).flatten(3)
-                for product in (moments * edges, there * edges, moments * there)
-            ),
+            sums.flatten(0, 2).T.unflatten(0, shape),
         ],
         dim=-1,
     )

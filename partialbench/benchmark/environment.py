@@ -40,6 +40,7 @@ def describe(
         "cpu": _cpu_name(),
         # Processors of one name differ in it, and in speed by as much as two.
         "instructions": torch.backends.cpu.get_cpu_capability(),
+        **_half_precision(device, precision),
         "cores": len(os.sched_getaffinity(0))
         if hasattr(os, "sched_getaffinity")
         else os.cpu_count(),
@@ -50,6 +51,13 @@ def describe(
         | {name: metadata.version(name) for name in PACKAGES},
         "git_commit": git_commit(),
     }
+
+
+def _half_precision(device: torch.device, precision: str) -> dict[str, bool]:
+    """Whether a CPU's products in bfloat16 were its own instructions, where it was trained in."""
+    if device.type != "cpu" or precision != "bf16-mixed":
+        return {}
+    return {"bf16_instructions": bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())}
 
 
 def git_commit() -> str | None:

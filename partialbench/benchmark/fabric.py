@@ -9,7 +9,7 @@ import torch
 from lightning.fabric import Fabric
 from lightning.fabric.strategies import DDPStrategy
 
-from partialbench.benchmark.device import find_device
+from partialbench.benchmark.device import find_device, say_slow_bf16
 from partialbench.benchmark.preflight import check_precision
 from partialbench.errors import InputError
 
@@ -18,6 +18,8 @@ def make_fabric(device: str, precision: str) -> Fabric:
     """A launched Fabric on ``device``; with torchrun's variables set, one process of many."""
     kind, index = find_device(device)
     precision = check_precision(precision)
+    if kind == "cpu" and precision == "bf16-mixed":
+        say_slow_bf16()
     processes, nodes = 1, 1
     if "LOCAL_WORLD_SIZE" in os.environ:  # torchrun sets it
         processes = int(os.environ["LOCAL_WORLD_SIZE"])

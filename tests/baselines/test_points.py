@@ -152,3 +152,15 @@ class TestFarthestPoints:
         assert torch.equal(
             points.farthest_from_centre(cloud @ R.mT), points.farthest_from_centre(cloud)
         )
+
+
+def test_the_smallest_are_topks_whatever_their_sign() -> None:
+    values = torch.randn(40, 300)
+    values[0, :9], values[0, 9:12], values[1, 5] = 0.0, -0.0, -torch.inf
+    found, index = points.smallest(values, 30)
+    expected = values.topk(30, dim=-1, largest=False).values
+    assert torch.equal(found, expected)
+    assert torch.equal(values.gather(1, index), expected)
+    zeros = values[0].abs() == 0
+    ties = [int(i) for i in points.smallest(values[:1], 300)[1][0] if zeros[i]]
+    assert ties == sorted(ties)

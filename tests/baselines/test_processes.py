@@ -21,6 +21,7 @@ from papnet.steered.edge_layer import EdgeLayer, collect_edges
 
 LAYERS = (
     "linear", "mlp", "edge convolution", "set abstraction", "edge layer", "steerable",
+    "wide linear",
     "steerable without scalars", "degree 0", "degree 2",
 )  # fmt: skip
 """Every way that moments are taken in."""
@@ -39,6 +40,10 @@ def outcome(name: str, share: slice, processes: int) -> dict[str, Tensor]:
     call: Any = None
     if name == "linear":
         layer = NormLinear(3, 5)
+    elif name == "wide linear":
+        layer = NormLinear(16, 5)
+        x = torch.randn(4, 40, 16).double() * sizes.view(4, 1, 1) + sizes.view(4, 1, 1)
+        call = partial(layer, slope=0.2)
     elif name == "mlp":
         layer = SharedMLP(3, 6, 5)
         call = layer.max

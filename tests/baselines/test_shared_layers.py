@@ -43,6 +43,7 @@ def assert_same(
 ) -> None:
     """Values, gradients of inputs and parameters, and running statistics agree."""
     weights = torch.randn(outputs[0].shape, generator=torch.Generator().manual_seed(3))
+    weights = weights.to(outputs[0].dtype)
     torch.testing.assert_close(outputs[0], outputs[1], atol=2e-5, rtol=1e-5)
     linear, norm = theirs
     pairs = [(ours.linear.weight, linear.weight), (ours.norm.weight, norm.weight)]
@@ -65,6 +66,20 @@ class TestLayersEqualTheirPlainForm:
         x = torch.cat([clouds * 3 + 1, clouds[..., :2]], dim=-1).requires_grad_()
         theirs = plain(ours, training)
         assert_same(ours, theirs, (ours(x), normed(*theirs, x)), (x,))
+
+    @pytest.mark.parametrize("slope", [0.0, 0.2, 1.0])
+    @pytest.mark.parametrize("bias", [True, False])
+    def test_norm_of_few_outputs_and_activation(
+        self, training: bool, bias: bool, slope: float, clouds: Tensor
+    ) -> None:
+        """Its statistics are summed from its values, not from covariances of its inputs."""
+        ours = NormLinear(24, 8, bias=bias).double()
+        assert ours.linear.in_features**2 > shared_mlp.COVARIANCE_BELOW * ours.linear.out_features
+        x = torch.cat([(i + clouds.double()).sin() * 3 + i for i in range(8)], dim=-1)
+        x = x.requires_grad_()
+        theirs = tuple(module.double() for module in plain(ours, training))
+        expected = F.leaky_relu(normed(*theirs, x), slope)
+        assert_same(ours, theirs, (ours(x, slope=slope), expected), (x,))
 
     def test_maximum_over_points(self, training: bool, clouds: Tensor) -> None:
         ours = NormLinear(3, 600)
@@ -98,7 +113,9 @@ class TestLayersEqualTheirPlainForm:
 
 
 class TestLayers:
-    def test_gradients_in_double_precision(self, rng: np.random.Generator) -> None:
+    def test_gradients_in_double_precision(
+        self, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         def values(*shape: int) -> Tensor:
             return torch.from_numpy(rng.normal(size=shape)).requires_grad_()
 
@@ -107,6 +124,8 @@ class TestLayers:
         weight = torch.from_numpy(rng.integers(0, 4, 9)).double()
         assert check(shared_mlp._Moments.apply, (values(9, 3), 9, None))
         assert check(shared_mlp._Moments.apply, (values(9, 3), int(weight.sum()), weight))
+        assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
+        monkeypatch.setattr(shared_mlp, "FEW_ROWS", 0)  # by visits to the chosen rows
         assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
         assert check(edges._EdgeMoments.apply, (values(1, 7, 3), values(1, 5, 3), index))
         centre = torch.arange(5).repeat_interleave(4)
@@ -128,6 +147,30 @@ class TestLayers:
         torch.testing.assert_close(parts, whole, atol=1e-5, rtol=1e-5)
         for parameter, gradient in zip(mlp.parameters(), gradients, strict=True):
             torch.testing.assert_close(parameter.grad, gradient, atol=1e-3, rtol=1e-4)
+
+    @pytest.mark.parametrize("size", [20, 300], ids=["bytes", "whole numbers"])
+    def test_of_equal_values_the_first_is_the_maximum(self, size: int) -> None:
+        y = torch.randint(0, 3, (9, size, 5)).float() - 1
+        top, index = torch.empty(9, 5), torch.empty(9, 5, dtype=torch.int32)
+        shared_mlp.maximum(y, top, index)
+        assert torch.equal(top, y.amax(dim=1))
+        first = [[row.tolist().index(row.max()) for row in cloud.T] for cloud in y]
+        assert index.tolist() == first
+
+    @pytest.mark.parametrize("layers", [(48, 16), (4, 16)], ids=["from the rows", "by covariances"])
+    def test_half_precision_stays_near_full(self, layers: tuple[int, int]) -> None:
+        torch.manual_seed(0)
+        layer, x = NormLinear(*layers), torch.randn(30, 25, layers[0])
+        weights, few = torch.randn(30, 25, layers[1]), torch.randn(30, layers[1])
+        results = []
+        for half in (False, True):
+            layer.zero_grad()
+            with torch.autocast("cpu", torch.bfloat16, enabled=half):
+                y = (layer(x, slope=0.0) * weights).mean() + (layer.max(x) * few).mean()
+            y.backward()
+            results.append([y.detach(), *(p.grad.clone() for p in layer.parameters())])
+        for full, rounded in zip(*results, strict=True):
+            assert float((rounded - full).norm()) <= 0.1 * float(full.norm()) + 1e-3
 
     def test_variance_survives_a_large_mean(self) -> None:
         """Values near 100 with spread 0.01 keep three digits of their variance."""

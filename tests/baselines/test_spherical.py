@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 import scipy.special
 import torch
 from scipy.spatial.transform import Rotation
 
-from baselines.spherical_cnn import SphericalCNN, ZonalConvolution, extent
+from baselines.spherical_cnn import (
+    AreaPool,
+    Block,
+    SphericalCNN,
+    ZonalConvolution,
+    cell_areas,
+    extent,
+)
 from baselines.spherical_transform import (
     SphericalTransform,
     colatitudes,
@@ -105,6 +114,34 @@ def test_zonal_convolution_commutes_with_rotation() -> None:
                 expected = evaluate(omega @ turn, filters[:, channel].detach().numpy())
                 assert (out[channel] - expected).abs().max() < 1e-5
     assert (out[0] - evaluate(omega, filters[:, 0].detach().numpy())).abs().max() > 0.1
+
+
+@pytest.mark.parametrize("training", [True, False])
+def test_a_block_is_its_layers_one_after_the_other(training: bool) -> None:
+    torch.manual_seed(0)
+    block = Block(3, 4, 16).double().train(training)
+    with torch.no_grad():
+        block.shift.normal_()
+        block.activation.weight.uniform_(-0.5, 1.5)
+    x = torch.randn(2, 3, 16, 16, dtype=torch.double, requires_grad=True)
+    plain = copy.deepcopy(block)
+    found = block(x)
+    expected = plain.activation(plain.norm(plain.convolution(x)) + plain.shift)
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(block.norm.state_dict(), plain.norm.state_dict())
+    weight = torch.randn_like(found)
+    for a, b in zip(
+        torch.autograd.grad((found * weight).sum(), [x, *block.parameters()]),
+        torch.autograd.grad((expected * weight).sum(), [x, *plain.parameters()]),
+        strict=True,
+    ):
+        torch.testing.assert_close(a, b)
+
+
+def test_pooled_cells_are_means_weighted_by_area() -> None:
+    x, areas = torch.randn(2, 3, 8, 8), cell_areas(8)
+    expected = torch.nn.functional.avg_pool2d(x * areas, 2) / cell_areas(4)
+    torch.testing.assert_close(AreaPool(8)(x), expected)
 
 
 def test_extent_is_the_distance_towards_a_point_and_turns_with_the_cloud() -> None:

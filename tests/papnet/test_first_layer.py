@@ -40,3 +40,17 @@ def test_an_empty_volume_gives_the_background() -> None:
     block = GatedBlock(Fields((1,)), Fields((2, 1)), 3, padding=1).eval()
     volume = torch.zeros(1, 1, 8, 8, 8)
     assert torch.allclose(pooled_first_layer(block, volume), pool(block(volume)), atol=1e-7)
+
+
+@pytest.mark.parametrize("edge", [4, 16], ids=["every voxel", "some voxels"])
+def test_rows_for_all_that_points_could_reach_change_nothing(edge: int) -> None:
+    torch.manual_seed(0)
+    block = GatedBlock(Fields((1,)), Fields((2, 1, 1)), 3, padding=1).double()
+    volume = occupancy(2 * torch.rand(3, 20, 3) - 1, edge).double()
+    expected, found = (pooled_first_layer(block, volume, points) for points in (None, 20))
+    torch.testing.assert_close(found, expected)
+    weight = torch.rand_like(expected)
+    parameters = [p for p in block.parameters() if p.numel()]
+    gradients = [torch.autograd.grad((y * weight).sum(), parameters) for y in (expected, found)]
+    for one, other in zip(*gradients, strict=True):
+        torch.testing.assert_close(one, other)

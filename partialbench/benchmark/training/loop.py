@@ -35,7 +35,7 @@ from partialbench.benchmark.training.average import (
     refresh_statistics,
 )
 from partialbench.benchmark.training.batches import BatchStream, Place
-from partialbench.benchmark.training.optimizers import make_optimizer
+from partialbench.benchmark.training.optimizers import as_made, make_optimizer
 from partialbench.benchmark.training.seeds import seed_all
 from partialbench.dataset.seeding import generator
 from partialbench.errors import PartialbenchError
@@ -152,7 +152,7 @@ class Loop:
         self.seconds, self.started = saved["seconds"], time.perf_counter()
         self.environments = [*(e for e in saved["environments"] if e != self.here), self.here]
         if "optimizer" in saved:
-            self.optimizer.load_state_dict(saved["optimizer"])
+            self.optimizer.load_state_dict(as_made(saved["optimizer"], self.optimizer))
             self.schedule.load_state_dict(saved["schedule"])
         if self.average is not None and "average" in saved:
             self.average.load(saved, self.bare)
