@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -30,7 +31,6 @@ from partialbench.benchmark.campaign.worker import (
     run_in_process,
 )
 from partialbench.benchmark.records.results import file_name
-from partialbench.dataset import manifest as manifests
 from partialbench.dataset.executors import dask_cluster
 from partialbench.dataset.lock import sole_user
 from partialbench.dataset.shards import write_atomically
@@ -209,8 +209,11 @@ class _Runner:
                 f"give the same command"
             )
         work = self.campaign.work
+        # One that was tested before and has new tests is tested on those.
+        tests = Ledger(self.campaign).missing_tests(job) if job.kind == "train" else ()
         order = {
-            "job": job.as_dict(), "preset": self.campaign.preset, "device": self.device,
+            "job": replace(job, tests=tests).as_dict(),
+            "preset": self.campaign.preset, "device": self.device,
             "results": str(self.campaign.results), "runs": str(work / "runs"),
             "folders": {name: str(data.folder) for name, data in self.campaign.data.items()},
             "seconds": None if self.deadline is None else self.deadline - time.monotonic(),
@@ -291,8 +294,7 @@ def _executor(
 
 def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[str], None]) -> None:
     """Makes a data folder, or goes on with it, and holds it against its declared digests."""
-    made = (data.folder / manifests.NAME).is_file()
-    if made and manifests.load(data.folder).state == "complete":
+    if job_files.is_rendered(data):
         job_files.digests(data)
         return
     say(f"rendering {data.name} into {data.folder}")
