@@ -25,7 +25,7 @@ class Status:
         done, running, missing, failed: jobs, in the campaign's order; what runs or failed is not
             among the missing.
         waiting: jobs whose data cannot be made here → the reason.
-        hours: of one core, for what is missing or running and has a recorded speed.
+        hours: of one core, for the trainings that are missing or running and have a recorded speed.
         without_speed: how many jobs have none.
         notes: sentences about records that could not be read.
     """
