@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -191,14 +191,17 @@ def is_rendered(data: DataSet) -> bool:
 class Ledger:
     """What a campaign's folders say about its jobs.
 
+    Args:
+        without: names of grids that cannot be rendered here: their cells are asked of no job.
+
     Attributes:
         digests: data set name → split (of a grid: cell) → digest.
         speeds: (model, options) → training clouds a second, medians as recorded.
         unreadable: sentences about records that could not be read.
     """
 
-    def __init__(self, campaign: Campaign) -> None:
-        self.campaign = campaign
+    def __init__(self, campaign: Campaign, without: Collection[str] = ()) -> None:
+        self.campaign, self.without = campaign, without
         self.digests = {name: digests(data) for name, data in campaign.data.items()}
         self.unreadable: list[str] = []
         self.speeds: dict[tuple[str, str], float] = {}
@@ -226,7 +229,12 @@ class Ledger:
     def missing_tests(self, job: Job) -> tuple[Condition, ...]:
         """The tests of a training's job that have no record."""
         train = self.digests[job.data].get("train", "")
-        return tuple(test for test in job.tests if self._record(job, train, test) not in self._done)
+        return tuple(
+            test
+            for test in job.tests
+            if self._record(job, train, test) not in self._done
+            and not (test.cell and test.data in self.without)
+        )
 
     def is_trained(self, job: Job) -> bool:
         """Whether a training reached its milestone: its own test has a record."""

@@ -136,8 +136,13 @@ class _Runner:
         self.running: dict[Future, Job] = {}
         self.unrendered: dict[str, str] = {}
 
+    def ledger(self) -> Ledger:
+        """What is done now, of what can be; a grid that cannot be made holds up no training."""
+        return Ledger(self.campaign, self.unrendered)
+
     def wanted(self, job: Job) -> bool:
-        if any(test.data in self.unrendered for test in job.tests) or job.data in self.unrendered:
+        needed = {job.data, *(test.data for test in job.tests if not test.cell)}
+        if not needed.isdisjoint(self.unrendered):
             return False
         name = f"{job.model}@{job.data}"
         patterns = [each if "@" in each else f"{each}@*" for each in self.only]
@@ -161,7 +166,7 @@ class _Runner:
 
     def work(self, executor: Executor, width: int) -> bool:
         """Runs jobs until none is missing (True) or the time is over (False)."""
-        stopped, state = False, status(self.campaign)
+        stopped, state = False, status(self.campaign, self.ledger())
         try:
             while True:
                 if not self.is_over() and not stopped:
@@ -175,7 +180,7 @@ class _Runner:
                 for future in done:
                     stopped |= self._end(future)
                 if done:
-                    state = status(self.campaign)
+                    state = status(self.campaign, self.ledger())
                     self.say(f"{len(state.missing)} jobs, {state.hours:.1f} core hours to go")
         except BaseException:
             # Ctrl-C and whatever else: what runs saves its state first.
@@ -210,7 +215,7 @@ class _Runner:
             )
         work = self.campaign.work
         # One that was tested before and has new tests is tested on those.
-        tests = Ledger(self.campaign).missing_tests(job) if job.kind == "train" else ()
+        tests = self.ledger().missing_tests(job) if job.kind == "train" else ()
         order = {
             "job": replace(job, tests=tests).as_dict(),
             "preset": self.campaign.preset, "device": self.device,
@@ -229,7 +234,7 @@ class _Runner:
         self._write_running()
         answer = _answer(future, job)
         if answer["outcome"] == DONE:
-            if not Ledger(self.campaign).is_done(job):
+            if not self.ledger().is_done(job):
                 # Or it would be begun again for ever.
                 raise PartialbenchError(
                     f"{job.title} says it is done, but {self.campaign.results} has no record of "
