@@ -36,9 +36,10 @@ from partialbench.dataset.build import BuildPlan, Progress, build
 from partialbench.dataset.rows import Job
 from partialbench.dataset.seeding import generator
 from partialbench.geometry.camera import fit_ball, sample_pose
-from renderers.mitsuba_depth import MitsubaOccluder, back_project, make_scene
+from renderers.mitsuba_depth import MitsubaOccluder, back_project
 from renderers.sources.mesh import normalise, read_mesh
 from renderers.sources.open import open_source
+from renderers.tracing import make_scene
 from renderers.visibility import surface_samples
 
 RESOLUTION, POINTS, DATASET = 256, 2048, "bench"

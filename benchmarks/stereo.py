@@ -22,6 +22,7 @@ from renderers.variants import activate, pick_variant
 SIDE = 160
 DISTANCES_M = (0.8, 1.1, 1.5, 2.0, 2.6, 3.2)
 TILT_DEG = 30.0
+ALBEDO, DARK = 0.4, 0.03
 ANGLES_DEG = (0, 30, 50, 60, 70, 75, 80, 85)
 
 
@@ -50,7 +51,7 @@ def spread(sensor: Stereo, distance: float, views: int = 3) -> tuple[float, floa
     errors = []
     for k in range(views):
         rng = generator(k, "plane", str(distance))
-        z, _ = sensor.measure([part], camera, (0.75 * distance, 1.4 * distance), rng)
+        z, _ = sensor.measure([(part, ALBEDO)], camera, (0.75 * distance, 1.4 * distance), rng)
         v, u = np.nonzero(z)
         rays = camera.unproject(np.stack([u + 0.5, v + 0.5], axis=1), np.ones(len(u)))
         errors.append(z[v, u] - distance * normal[2] / (rays @ normal))
@@ -59,12 +60,14 @@ def spread(sensor: Stereo, distance: float, views: int = 3) -> tuple[float, floa
     return float(all_errors[kept].std()), float(np.median(all_errors))
 
 
-def filled(sensor: Stereo, angle_deg: float, distance: float = 1.5) -> float:
+def filled(
+    sensor: Stereo, angle_deg: float, distance: float = 1.5, albedo: float = ALBEDO
+) -> float:
     """Share of the pixels of a tilted square that are measured."""
     rng = generator(0, "tilted", str(angle_deg))
     part = quad(distance, 0.2, angle_deg)
     camera = camera_of(sensor)
-    z, _ = sensor.measure([part], camera, (distance - 0.35, distance + 0.6), rng)
+    z, _ = sensor.measure([(part, albedo)], camera, (distance - 0.35, distance + 0.6), rng)
     (left, right), (top, bottom) = _outline(camera, part[0])
     inside = z[top:bottom, left:right]
     slope = np.sin(np.deg2rad(angle_deg)) * 0.2 + 0.1
@@ -77,7 +80,7 @@ def fattening(sensor: Stereo, distance: float = 1.2) -> float:
     camera = camera_of(sensor)
     part = quad(distance, 0.07)
     for k in range(5):
-        z, _ = sensor.measure([part], camera, (0.9, 1.8), generator(k, "edges"))
+        z, _ = sensor.measure([(part, ALBEDO)], camera, (0.9, 1.8), generator(k, "edges"))
         (left, right), (top, bottom) = _outline(camera, part[0])
         middle = z[top + 8 : bottom - 8]
         near = (middle > 0) & (np.abs(middle - distance) < 0.1)
@@ -92,7 +95,8 @@ def seconds(sensor: Stereo) -> float:
     for k in range(7):
         if k == 1:
             start = time.process_time()
-        sensor.measure([quad(1.7, 0.4, 30)], camera, (1.2, 2.6), generator(k, "speed"))
+        part = quad(1.7, 0.4, 30)
+        sensor.measure([(part, ALBEDO)], camera, (1.2, 2.6), generator(k, "speed"))
     return (time.process_time() - start) / 6
 
 
@@ -123,23 +127,27 @@ def main() -> None:
             print(f"  {d} m: σ {1e3 * s:.2f} mm, of the law {s / factor / d**2:.2f}, "
                   f"bias {1e3 * b:+.2f} mm")  # fmt: skip
         shares = [filled(sensor, angle) for angle in ANGLES_DEG]
-        told = (f"{a}° {s:.2f}" for a, s in zip(ANGLES_DEG, shares, strict=True))
-        print("  filled:", ", ".join(told))
+        dark = [filled(sensor, angle, albedo=DARK) for angle in ANGLES_DEG]
+        for what, found in (("filled", shares), (f"of albedo {DARK}", dark)):
+            told = (f"{a}° {s:.2f}" for a, s in zip(ANGLES_DEG, found, strict=True))
+            print(f"  {what}:", ", ".join(told))
         wider, cost = fattening(sensor), seconds(sensor)
         print(f"  edges {wider:+.2f} px a side; {cost:.2f} s of processor a view")
         axes[0].plot(DISTANCES_M, 1e3 * sigma[:, 0], "o", color=colour, label=sensor.name)
         x = np.linspace(DISTANCES_M[0], DISTANCES_M[-1])
         axes[0].plot(x, 1e3 * factor * x**2, color=colour, lw=1)
-        axes[1].plot(ANGLES_DEG, shares, "o-", color=colour, label=sensor.name)
+        axes[1].plot(ANGLES_DEG, shares, "o-", color=colour)
+        axes[1].plot(ANGLES_DEG, dark, "o:", color=colour, label=f"albedo {DARK}")
         if colour == "C0":
             part, rng = quad(1.2, 0.07), generator(0, "picture")
-            z, image = sensor.measure([part], camera_of(sensor), (0.9, 1.8), rng)
+            z, image = sensor.measure([(part, ALBEDO)], camera_of(sensor), (0.9, 1.8), rng)
             depth = np.where(z > 0, (z - 1) / 0.9, 0)
             axes[2].imshow(np.hstack([image / image.max(), depth]), "gray")
     axes[0].set(xlabel="distance (m)", ylabel="σ of z (mm)", title="a plane; lines: c·z²")
     axes[1].set(xlabel="angle of incidence (°)", ylabel="share measured", title="a tilted square")
     axes[2].set(title="D415-like: infrared image, measured z", xticks=[], yticks=[])
-    axes[0].legend(frameon=False)
+    for axis in axes[:2]:
+        axis.legend(frameon=False)
     figure.savefig(arguments.out, dpi=110)
 
 

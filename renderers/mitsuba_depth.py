@@ -1,24 +1,15 @@
-"""Mesh → what a pinhole camera sees of it, by Mitsuba's ray tracing.
-
-One acceleration structure in the object frame serves every view of an object; the cameras move
-instead. A ray leaves through each pixel's exact centre with a direction whose camera z is 1, so the
-distance Mitsuba returns, in units of that direction, is the z-depth itself: no integrator, no film
-and no jitter stand between the ray and the number. Faces count from both sides.
-"""
+"""Mesh → what a pinhole camera sees of it, by Mitsuba's ray tracing (see ``tracing``)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from partialbench.dataset.others import POOL, Others
+from partialbench.dataset.others import POOL, Others, require_share
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera, fit_ball
@@ -26,20 +17,13 @@ from renderers import occlusion
 from renderers.normals import face_normals, towards_camera
 from renderers.sensors import make_sensor
 from renderers.stereo import Stereo, require_opencv
+from renderers.tracing import Tracer, make_tracer
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
 
-# A packet of rays costs what the region it crosses costs: 16 neighbours in a 4×4 tile took two
-# thirds of the time of 16 in a row.
-TILE = 4
-# Bounds the memory of one launch (64 MiB of depth); ten views of 256×256 are a twenty-fifth of it.
-MAX_RAYS = 1 << 24
-MOST_OCCLUDED = 0.9
 NOTHING_SEEN = "no surface at any pixel centre"
 
 Pose = tuple[NDArray, NDArray]
-Image = tuple[NDArray[np.float32], NDArray[np.uint32] | None]
-"""z-depth (H,W), 0 = no surface, and the index of the face that each pixel shows (0 where none)."""
 
 
 @dataclass
@@ -83,10 +67,7 @@ class MitsubaOccluder:
                 raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
-        if not 0 <= self.occluders <= MOST_OCCLUDED:
-            raise InputError(
-                f"occluders must hide a share of 0 to {MOST_OCCLUDED}, got {self.occluders!r}"
-            )
+        require_share(self.occluders)
         if isinstance(make_sensor(self.sensor), Stereo):  # raises for an unknown name or strength
             require_opencv()
 
@@ -156,8 +137,7 @@ class MitsubaOccluder:
 
         variant = self.settle()
         activate(variant, self.threads)
-        make_tracer = _ScalarTracer if variant.startswith("scalar") else _Tracer
-        tracer = make_tracer(vertices, faces)
+        tracer = make_tracer(variant, vertices, faces)
         meshes: list[tuple[NDArray[np.float32], NDArray[np.uint32]]] = []
         if self.occluders:
             if others is None or not others.shapes:
@@ -165,7 +145,7 @@ class MitsubaOccluder:
                     f"occluders={self.occluders:g} needs others to put before an object"
                 )
             meshes = [_arrays(other) for other in others.shapes]
-        pool = [make_tracer(*mesh) for mesh in meshes]
+        pool = [make_tracer(variant, *mesh) for mesh in meshes]
         seen = self._seen(tracer, samples, R, t, cameras)
         images = tracer.images(R, t, cameras, self.normals)
         normals = face_normals(vertices, faces) if self.normals else None
@@ -174,9 +154,8 @@ class MitsubaOccluder:
         for k, (depth, hit) in enumerate(images):
             hidden, before = None, []
             if pool and others is not None and depth.any():
-                arranged = occlusion.arrange(
-                    depth, cameras[k], t[k], self.occluders, pool, others.rngs[k]
-                )
+                pixels = occlusion.Pixels(depth, cameras[k])
+                arranged = occlusion.arrange(pixels, t[k], self.occluders, pool, others.rngs[k])
                 if arranged is None:
                     views.append(RejectedView(occlusion.NO_ROOM))
                     continue
@@ -187,7 +166,7 @@ class MitsubaOccluder:
                     views.append(RejectedView(occlusion.ALL_HIDDEN))
                     continue
                 lines = sight_lines(samples, -R[k].T @ t[k])
-                seen[k] &= occlusion.unhidden(before, pool, R[k], t[k], *lines)
+                seen[k] &= occlusion.unhidden(before, pool, R[k], *lines)
             if isinstance(sensor, Stereo):
                 parts = [((vertices @ R[k].T + t[k]).astype(np.float32), faces)]
                 parts += [occlusion.placed(each, *meshes[each.shape]) for each in before]
@@ -224,7 +203,7 @@ class MitsubaOccluder:
 
     def _seen(
         self,
-        tracer: _Tracer | _ScalarTracer,
+        tracer: Tracer,
         samples: NDArray[np.float32],
         R: NDArray,
         t: NDArray,
@@ -289,135 +268,3 @@ def _require_unit_ball(vertices: NDArray[np.float32]) -> None:
             f"the mesh reaches {radius:g} from the origin; the fitted camera needs it inside the "
             f"unit ball: pass it through renderers.sources.mesh.normalise, or set a camera"
         )
-
-
-def make_scene(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> Any:
-    """A ``mitsuba.Scene`` of the active variant; Any, as what it returns depends on the variant."""
-    mesh = mi.Mesh("object", len(vertices), len(faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = vertices.ravel()
-    parameters["faces"] = faces.ravel()
-    parameters.update()
-    # Embree's robust test leaves no cracks between triangles. It also spares the splitting of
-    # triangles: on 20,000 faces the structure is built in a third of the time.
-    return mi.load_dict({"type": "scene", "object": mesh, "embree_use_robust_intersections": True})
-
-
-def _rays(R: NDArray, t: NDArray, cameras: list[Camera]) -> NDArray[np.float32]:
-    """(V,12): the map from (u, v, 1) to a view's ray direction in the object frame, and its eye."""
-    rows = np.zeros((len(cameras), 12), np.float32)
-    for k, camera in enumerate(cameras):
-        (fx, _, cx), (_, fy, cy), _ = camera.K
-        to_slope = np.array([[1 / fx, 0, -cx / fx], [0, 1 / fy, -cy / fy], [0, 0, 1]])
-        rows[k, :9] = (R[k].T @ to_slope).ravel()
-        rows[k, 9:] = -R[k].T @ t[k]
-    return rows
-
-
-class _Tracer:
-    """Vectorised ray tracing of one mesh: all rays of all views in one launch."""
-
-    def __init__(self, vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
-        self.scene = make_scene(vertices, faces)
-
-    def images(
-        self, R: NDArray, t: NDArray, cameras: list[Camera], faces: bool = False
-    ) -> Iterator[Image]:
-        """Each view's z-depth image and, if asked for, which face each pixel shows."""
-        width, height = cameras[0].width, cameras[0].height
-        tile_columns, tile_rows = -(-width // TILE), -(-height // TILE)
-        per_view = tile_columns * tile_rows * TILE * TILE
-        rays = _rays(R, t, cameras)
-        step = max(1, MAX_RAYS // per_view)
-        for first in range(0, len(rays), step):
-            batch = rays[first : first + step]
-            hit = self._launch(batch, per_view, tile_columns)
-            z = dr.select(hit.is_valid(), hit.t, 0.0)
-            face = dr.select(hit.is_valid(), hit.prim_index, 0) if faces else None
-            dr.eval(z, face)
-            parts = []
-            for values in (z, face):
-                if values is None:
-                    parts.append([None] * len(batch))
-                    continue
-                tiles = values.numpy().reshape(len(batch), tile_rows, tile_columns, TILE, TILE)
-                whole = tiles.swapaxes(2, 3).reshape(len(batch), tile_rows * TILE, -1)
-                parts.append(whole[:, :height, :width])
-            yield from zip(*parts, strict=True)
-
-    def _launch(self, rays: NDArray[np.float32], per_view: int, tile_columns: int) -> Any:
-        """What the rays of some views meet first, in tiles: a preliminary intersection."""
-        index = dr.arange(mi.UInt32, len(rays) * per_view)
-        view = index // per_view
-        pixel = index - view * per_view
-        tile, inner = pixel // (TILE * TILE), pixel % (TILE * TILE)
-        tile_row = tile // tile_columns
-        u = mi.Float((tile - tile_row * tile_columns) * TILE + inner % TILE) + 0.5
-        v = mi.Float(tile_row * TILE + inner // TILE) + 0.5
-        table = mi.Float(rays.ravel())
-        m = [dr.gather(mi.Float, table, view * 12 + k) for k in range(12)]
-        direction = mi.Vector3f(*(m[k] * u + m[k + 1] * v + m[k + 2] for k in (0, 3, 6)))
-        ray = mi.Ray3f(mi.Point3f(*m[9:]), direction)
-        return self.scene.ray_intersect_preliminary(ray, coherent=True)
-
-    def clear(
-        self, eyes: NDArray, directions: NDArray[np.float32], ends: NDArray[np.float32]
-    ) -> NDArray[np.bool_]:
-        """Which segments meet no surface.
-
-        Args:
-            eyes: (V,3) where they begin; directions: (V,S,3); ends: (V,S) in units of direction.
-
-        Returns:
-            (V,S) bool.
-        """
-        count = ends.shape[1]
-        view = dr.arange(mi.UInt32, ends.size) // count
-        origin = dr.gather(mi.Point3f, mi.Float(eyes.astype(np.float32).ravel()), view)
-        direction = mi.Vector3f(directions.reshape(-1, 3).T)
-        ray: Any = mi.Ray3f(origin, direction)
-        ray.maxt = mi.Float(ends.ravel())
-        return ~self.scene.ray_test(ray).numpy().reshape(ends.shape)
-
-
-class _ScalarTracer:
-    """The same, one ray at a time: for machines without LLVM."""
-
-    def __init__(self, vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
-        self.scene = make_scene(vertices, faces)
-
-    def images(
-        self, R: NDArray, t: NDArray, cameras: list[Camera], faces: bool = False
-    ) -> Iterator[Image]:
-        """As ``_Tracer.images``."""
-        intersect = self.scene.ray_intersect_preliminary
-        for row, camera in zip(_rays(R, t, cameras), cameras, strict=True):
-            M, eye = row[:9].reshape(3, 3), row[9:]
-            pixels = camera.pixel_centres().reshape(-1, 2).astype(np.float32)
-            directions = pixels @ M[:, :2].T + M[:, 2]
-            ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(0, 0, 1))
-            z = np.zeros(len(directions), np.float32)
-            face = np.zeros(len(directions), np.uint32)
-            for k, direction in enumerate(directions.tolist()):
-                ray.d = direction
-                hit = intersect(ray)
-                z[k] = hit.t
-                if faces:
-                    face[k] = hit.prim_index
-            missed = np.isinf(z)
-            z[missed] = face[missed] = 0
-            shape = camera.height, camera.width
-            yield z.reshape(shape), face.reshape(shape) if faces else None
-
-    def clear(
-        self, eyes: NDArray, directions: NDArray[np.float32], ends: NDArray[np.float32]
-    ) -> NDArray[np.bool_]:
-        """As ``_Tracer.clear``."""
-        seen = np.zeros(ends.shape, bool)
-        blocked = self.scene.ray_test
-        for k, eye in enumerate(eyes.tolist()):
-            ray = mi.Ray3f(mi.Point3f(eye), mi.Vector3f(0, 0, 1))
-            segments = zip(directions[k].tolist(), ends[k].tolist(), strict=True)
-            for j, (ray.d, ray.maxt) in enumerate(segments):
-                seen[k, j] = not blocked(ray)
-        return seen

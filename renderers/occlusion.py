@@ -1,14 +1,15 @@
 """Other objects between a camera and the one it looks at, so that they hide a wanted share of it.
 
-The object, its pose and its crop are those of the unoccluded view: of its pixels some are lost, and
-the others are the same to the last bit. An obstacle is traced by a scene of its own, in its own
-frame, and the nearer surface wins: the same pixels as of one scene whose hits name their shape.
+The object, its pose and its crop are those of the unoccluded view: of its pixels, or of a scanned
+object's points, some are lost, and the others are the same to the last bit. An obstacle is traced
+by a scene of its own, in its own frame, and the nearer surface wins: the same pixels as of one
+scene whose hits name their shape.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from partialbench.geometry import portable
 from partialbench.geometry.camera import Camera
 from partialbench.geometry.rotations import haar_rotations
+from renderers.tracing import Tracer
 
 SPREAD = 0.4
 """The share to hide is uniform within this part of the one asked for, below and above it."""
@@ -28,18 +30,6 @@ COARSE = 32
 PLACES = 24
 NO_ROOM = "no room for an occluder between camera and object"
 ALL_HIDDEN = "wholly hidden by other objects"
-
-
-class Tracer(Protocol):
-    """What traces rays against one mesh, see ``mitsuba_depth``."""
-
-    def images(
-        self, R: NDArray, t: NDArray, cameras: list[Camera], faces: bool = False
-    ) -> Iterator[tuple[NDArray[np.float32], Any]]: ...
-
-    def clear(
-        self, eyes: NDArray, directions: NDArray[np.float32], ends: NDArray[np.float32]
-    ) -> NDArray[np.bool_]: ...
 
 
 class Obstacle(NamedTuple):
@@ -56,15 +46,83 @@ class Obstacle(NamedTuple):
     size: float
 
 
+class Shown(Protocol):
+    """What a view shows of an object: M things that an obstacle hides or not.
+
+    Attributes:
+        count: M.
+    """
+
+    @property
+    def count(self) -> int: ...
+
+    def hidden_by(self, tracer: Tracer, R: NDArray, size: float, places: NDArray) -> NDArray:
+        """(n,M) bool: which of them an obstacle of this rotation and size hides from each place
+        (n,3), camera frame."""
+        ...
+
+
+class Pixels:
+    """The pixels of a depth image that show an object, as many as placing an obstacle needs.
+
+    Args:
+        depth: (H,W) of the unoccluded object, 0 = no surface.
+    """
+
+    def __init__(self, depth: NDArray[np.float32], camera: Camera) -> None:
+        step = max(1, min(depth.shape) // COARSE)
+        shown = depth[::step, ::step]
+        self.camera = _every(camera, step, shown.shape)
+        self.there = shown > 0
+        self.depth = shown[self.there]
+
+    @property
+    def count(self) -> int:
+        """Pixels; none of an object so thin that the coarse image misses it."""
+        return len(self.depth)
+
+    def hidden_by(self, tracer: Tracer, R: NDArray, size: float, places: NDArray) -> NDArray:
+        """As ``Shown.hidden_by``."""
+        count = len(places)
+        turned = np.broadcast_to(R / size, (count, 3, 3))
+        images = tracer.images(turned, places, [self.camera] * count)
+        other = np.stack([depth[self.there] for depth, _ in images])
+        return (other > 0) & (other < self.depth)
+
+
+class Lines:
+    """Lines of sight from the camera to an object's points.
+
+    Args:
+        directions: (M,3) camera frame; ends: (M,) in units of them, as ``visibility.sight_lines``
+            gives both.
+    """
+
+    def __init__(self, directions: NDArray[np.float32], ends: NDArray[np.float32]) -> None:
+        self.directions, self.ends = directions, ends
+
+    @property
+    def count(self) -> int:
+        """Points."""
+        return len(self.ends)
+
+    def hidden_by(self, tracer: Tracer, R: NDArray, size: float, places: NDArray) -> NDArray:
+        """As ``Shown.hidden_by``."""
+        A, count = R / size, len(places)
+        along = portable.product(self.directions, A).astype(np.float32)
+        eyes = -portable.product(places, A)
+        every = np.broadcast_to(along, (count, *along.shape))
+        return ~tracer.clear(eyes, every, np.broadcast_to(self.ends, (count, len(along))))
+
+
 def arrange(
-    depth: NDArray[np.float32],
-    camera: Camera,
+    shown: Shown,
     centre: NDArray,
     share: float,
     tracers: Sequence[Tracer],
     rng: np.random.Generator,
 ) -> list[Obstacle] | None:
-    """Obstacles that together hide about ``share`` of the pixels that show an object.
+    """Obstacles that together hide about ``share`` of what a view shows of an object.
 
     Each is an object of the pool in a random orientation, as large as the object itself where there
     is room, wholly between the camera and the object's unit ball. It is pushed in from a random
@@ -72,26 +130,21 @@ def arrange(
     side.
 
     Args:
-        depth: (H,W) of the unoccluded object, 0 = no surface.
         centre: (3,) of the object's unit ball, camera frame.
         share: expected, in (0, 1).
         tracers: of the pool, one a mesh in the unit ball.
 
     Returns:
-        None where there is no room.
+        None where there is no room, [] where nothing is shown that could be hidden.
     """
     distance = float(np.sqrt((np.asarray(centre, np.float64) ** 2).sum()))
     room = distance - 1
     if room < 0.1:
         return None
-    step = max(1, min(depth.shape) // COARSE)
-    shown = depth[::step, ::step]
-    coarse = _every(camera, step, shown.shape)
-    there = shown > 0
-    if not there.any():
+    if not shown.count:
         return []
     wanted = min(share * rng.uniform(1 - SPREAD, 1 + SPREAD), MOST_HIDDEN)
-    hidden = np.zeros_like(there)
+    hidden: NDArray[np.bool_] = np.zeros((), bool)
     obstacles: list[Obstacle] = []
     for _ in range(MOST_OBSTACLES):
         k = int(rng.integers(len(tracers)))
@@ -105,15 +158,15 @@ def arrange(
         offsets = np.linspace(reach, 0, PLACES)
         for _ in range(2):  # coarsely, then between the neighbours of the best
             places = away * sight + offsets[:, None] * side
-            masks = _hides(tracers[k], R, size, places, coarse, shown) | hidden
-            errors = np.abs(masks[:, there].mean(axis=1) - wanted)
+            masks = shown.hidden_by(tracers[k], R, size, places) | hidden
+            errors = np.abs(masks.mean(axis=1) - wanted)
             best = int(errors.argmin())
             tried, found = offsets[best], masks[best]
             low, high = offsets[max(best - 1, 0)], offsets[min(best + 1, PLACES - 1)]
             offsets = np.linspace(low, high, PLACES)
         obstacles.append(Obstacle(k, R, away * sight + tried * side, size))
         hidden = found
-        if hidden[there].mean() >= wanted - NEAR_ENOUGH:
+        if hidden.mean() >= wanted - NEAR_ENOUGH:
             break
     return obstacles
 
@@ -138,14 +191,14 @@ def unhidden(
     obstacles: Sequence[Obstacle],
     tracers: Sequence[Tracer],
     R: NDArray,
-    t: NDArray,
     directions: NDArray[np.float32],
     ends: NDArray[np.float32],
 ) -> NDArray[np.bool_]:
     """Which segments from the camera meet no obstacle: (S,) bool.
 
     Args:
-        R, t: object → camera. directions: (S,3) in the object's frame; ends: (S,) in units of them.
+        R: (3,3) from the frame of the directions to the camera's.
+        directions: (S,3), ends: (S,) in units of them.
     """
     clear = np.ones(len(ends), bool)
     in_camera = portable.product(directions, np.asarray(R).T)
@@ -189,13 +242,3 @@ def _across(sight: NDArray, angle: float) -> NDArray[np.float64]:
     second = np.cross(sight, first)
     cosine, sine = portable.cosine_sine(angle)
     return cosine * first + sine * second
-
-
-def _hides(
-    tracer: Tracer, R: NDArray, size: float, places: NDArray, camera: Camera, shown: NDArray
-) -> NDArray[np.bool_]:
-    """(n,H,W): which pixels an obstacle hides from each of (n,3) places."""
-    count = len(places)
-    images = tracer.images(np.broadcast_to(R / size, (count, 3, 3)), places, [camera] * count)
-    other = np.stack([depth for depth, _ in images])
-    return (other > 0) & ((shown == 0) | (other < shown))

@@ -23,15 +23,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
+from partialbench.geometry import portable
 from partialbench.geometry.camera import Camera
 
 Part = tuple[NDArray[np.float32], NDArray[np.uint32]]
 """Vertices (V,3) in the view's camera frame, object units, and faces (F,3)."""
+Painted = tuple[tuple[NDArray, NDArray], float]
+"""Vertices and faces, and the share of light that they send back."""
 
 _PATTERN_SIDE = 2048
 _FULL_SCALE = 255.0
 ALBEDO = (0.15, 0.7)
 """Between which the share of light that an object sends back is drawn."""
+DARK_ALBEDO = (0.02, 0.06)
+"""The same of its dark part."""
 WALL_RADII = 1.6
 """Of the wall behind the object, from its centre. A capture is cropped to what lies before it."""
 
@@ -49,6 +54,7 @@ class Stereo:
         dot_every_px: mean distance of neighbouring dots, in pixels of the camera.
         block: side of the matching window in pixels, odd.
         ambient: even light, as a share of what the pattern gives in the mean.
+        dark: expected share of an object's extent, from a random side on, that is dark.
         read_noise, full_well: of a pixel, in grey values and in electrons at full scale.
         strength, metres_per_unit: see ``sensors``. Strength multiplies read noise and divides the
             focal length and the full well: σ of the depth is then in proportion.
@@ -64,6 +70,7 @@ class Stereo:
     dot_every_px: float = 4.0
     block: int = 9
     ambient: float = 0.15
+    dark: float = 0.15
     read_noise: float = 1.0
     full_well: float = 5000.0
     strength: float = 1.0
@@ -102,7 +109,7 @@ class Stereo:
         """What the camera measures where an exact depth image shows a surface.
 
         Args:
-            parts: meshes of the scene, camera frame.
+            parts: meshes of the scene, camera frame, the object's first.
             depth: (H,W) exact z-depth of them, object units, 0 = no surface.
             K: (3,3) of that image. centre: (3,) of the object, camera frame, object units.
             rng: material and noise.
@@ -121,21 +128,25 @@ class Stereo:
         camera = self._camera(away, radius)
         near, wall = max(away - radius, 0.1), away + WALL_RADII * radius
         turned = [((v.astype(np.float64) * scale) @ rig.T, f) for v, f in parts]
-        z, _ = self.measure(turned, camera, (near, wall), rng)
+        albedo = float(rng.uniform(*ALBEDO))
+        light, dark = _split(turned[0], float(rng.uniform(0, 2 * self.dark)), rng)
+        painted = [(light, albedo), (dark, float(rng.uniform(*DARK_ALBEDO)))]
+        painted += [(part, albedo) for part in turned[1:]]
+        z, _ = self.measure([p for p in painted if len(p[0][1])], camera, (near, wall), rng)
         z[z > away + WALL_RADII * radius * 0.9] = 0
         return _resampled(z, camera, rig, depth, K, scale)
 
     def measure(
-        self, parts: Sequence[tuple[NDArray, NDArray]], camera: Camera, span: tuple[float, float],
+        self, parts: Sequence[Painted], camera: Camera, span: tuple[float, float],
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:  # fmt: skip
         """What the rig measures of meshes before a wall, all in the first camera's frame, metres.
 
         Args:
-            parts: (vertices, faces) each.
+            parts: ((vertices, faces), albedo) each.
             camera: what part of the image is looked at; of ``focal`` pixels.
             span: the nearest z looked for, and the wall's.
-            rng: material and noise.
+            rng: noise.
 
         Returns:
             z (H,W), 0 where nothing is measured, and the first camera's image (H,W).
@@ -162,16 +173,15 @@ class Stereo:
         return first, 16 * int(np.ceil((bend / near - first + 2) / 16))
 
     def _images(
-        self, parts: Sequence[tuple[NDArray, NDArray]], camera: Camera, span: tuple[float, float],
+        self, parts: Sequence[Painted], camera: Camera, span: tuple[float, float],
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], int]:  # fmt: skip
         """Both images, the right one moved by the smallest disparity, which is returned too."""
         from renderers import stereo_light
 
         first, count = self._range(*span)
-        albedo = float(rng.uniform(*ALBEDO))
         lit = stereo_light.Scene(
-            parts, span[1], albedo, self.projector_m,
+            parts, span[1], self.projector_m,
             _middle(_dots(self.dot_every_px), camera.width + 2 * count), self.focal, self.ambient,
         )  # fmt: skip
         pixels = [
@@ -216,8 +226,9 @@ class Stereo:
 def d415(**options: Any) -> Stereo:
     """Like an Intel RealSense D415 at 848×480.
 
-    Baseline 55 mm and horizontal field of view 65° (Intel RealSense D400 series datasheet, 2018
-    and later); the projector's place between the cameras and the density of dots are our choice.
+    Horizontal field of view 65° (Grunnet-Jepsen et al., Intel white paper on subpixel linearity,
+    2019); 55 mm is commonly given for its baseline. The projector's place between the cameras and
+    the density of dots are our choice.
     """
     return Stereo("stereo-d415", 0.055, 0.0275, 424 / np.tan(np.deg2rad(32.5)), **options)
 
@@ -225,9 +236,9 @@ def d415(**options: Any) -> Stereo:
 def kinect_v1(**options: Any) -> Stereo:
     """With the first Kinect's geometry: 75 mm, 585 px, disparity in steps of 1/8 pixel.
 
-    That camera matches its one image with a stored one of the pattern; here a second camera stands
-    in for it, at the projector's place. Khoshelham and Elberink 2012; about 35,000 dots over
-    640×480 pixels (Reichinger 2011: 3×3 times 211×165).
+    That camera matches its one image with a stored one of the pattern (Khoshelham and Oude Elberink
+    2012); here a second camera stands in for it, at the projector's place. The density of dots is
+    our choice; docs/sensors.md says where the figures are from.
     """
     given = {"disparity_step": 0.125, "dot_every_px": 3.0, **options}
     return Stereo("stereo-kinect-v1", 0.075, 0.075, 585.0, **given)
@@ -261,6 +272,18 @@ def _middle(pattern: NDArray[np.float32], side: int) -> NDArray[np.float32]:
     """The part of a pattern about its centre that is looked at, the pattern repeated if need be."""
     across = (np.arange(-side // 2, side // 2) + len(pattern) // 2) % len(pattern)
     return np.ascontiguousarray(pattern[np.ix_(across, across)])
+
+
+def _split(
+    part: tuple[NDArray, NDArray], share: float, rng: np.random.Generator
+) -> tuple[tuple[NDArray, NDArray], tuple[NDArray, NDArray]]:
+    """A mesh without its faces beyond a share of its extent in a random direction, and those."""
+    vertices, faces = part
+    direction = rng.standard_normal(3)
+    along = portable.product(vertices, direction[:, None])[:, 0]
+    edge = along.max() - share * (along.max() - along.min())
+    beyond = along[faces].mean(axis=1) > edge
+    return (vertices, faces[~beyond]), (vertices, faces[beyond])
 
 
 def _looking_at(centre: NDArray) -> NDArray[np.float64]:

@@ -25,19 +25,17 @@ class Scene:
     """Meshes before a wall, in the rig's frame and metres: x right, y down, z forward.
 
     Args:
-        parts: (vertices, faces) each.
+        parts: ((vertices, faces), albedo) each.
         wall: its z.
-        albedo: of the parts.
         projector_x: where the projector is; it looks along z.
         pattern: (N,N) what it throws, a pixel as wide as one of a camera of ``focal`` pixels.
-        ambient: radiance, as a share of the pattern's mean where it falls.
+        ambient: even light, as a share of the pattern's mean where it falls.
     """
 
     def __init__(
         self,
-        parts: Sequence[tuple[NDArray, NDArray]],
+        parts: Sequence[tuple[tuple[NDArray, NDArray], float]],
         wall: float,
-        albedo: float,
         projector_x: float,
         pattern: NDArray[np.float32],
         focal: float,
@@ -61,12 +59,12 @@ class Scene:
                 "bsdf": _matt(_WALL_ALBEDO),
             },
         }  # fmt: skip
-        for k, (vertices, faces) in enumerate(parts):
+        for k, ((vertices, faces), albedo) in enumerate(parts):
             content[f"part{k}"] = _mesh(vertices, faces, _matt(albedo))
         self.scene = mi.load_dict(content)
         (self.projector,) = self.scene.emitters()
-        # Of irradiance E at a metre, a matt surface at z sends back albedo·E/(π·z²).
-        self.ambient = albedo * ambient * float(pattern.mean()) / np.pi / max(wall, 0.1) ** 2
+        # Of the pattern's irradiance E at a metre, E/z² arrives at z.
+        self.ambient = ambient * float(pattern.mean()) / max(wall, 0.1) ** 2
 
     def image(
         self, camera: Camera, x: float, shift: int, margin: int, rng: np.random.Generator
@@ -106,7 +104,10 @@ class Scene:
         # sphere about the tip of the normal.
         normal = dr.select(dr.dot(hit.n, direction) > 0, -hit.n, hit.n)
         sky = valid & ~self.scene.ray_test(hit.spawn_ray(normal + _on_sphere(samples)), valid)
-        found = pattern + self.ambient * dr.select(sky, 1.0, 0.0)
+        # A matt surface's albedo/π: what it sends back of light along its normal.
+        upright = mi.Vector3f(0, 0, dr.select(hit.wi.z > 0, 1.0, -1.0))
+        matt = bsdf.eval(context, hit, upright, valid).x
+        found = pattern + self.ambient * dr.select(sky, matt, 0.0)
         return found.numpy().astype(np.float64)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -95,3 +96,19 @@ def test_the_command_works_in_a_folder_of_packages_called_as_ours(here, how):
     )  # fmt: skip
     assert ran.returncode == 0, ran.stderr
     assert '"papnet"' in ran.stdout
+
+
+@pytest.mark.parametrize("named", ["", "{here}", "{here}:/elsewhere"])
+def test_the_current_folder_is_last_unless_the_path_of_the_user_names_it(tmp_path, named):
+    """Called again, as a spawned worker does, it changes nothing more."""
+    code = (
+        "import os, sys; from partialbench.search_path import current_folder_last as last; last(); "
+        "last(); here = os.getcwd(); print(sys.path.count(here), sys.path[-1] == here)"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    if named:
+        environment["PYTHONPATH"] = named.format(here=tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["1", str(not named)], done.stderr

@@ -62,7 +62,7 @@ def run_eval(
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
     test_damages: Sequence[str] = (),
-    grid: Path | str | None = None,
+    grid: Path | str | Sequence[Path | str] | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -101,7 +101,8 @@ def run_eval(
             one, "15" with noise, "class:0" under each class's own symmetry, "random". Only for a
             model that takes one.
         test_damages: test on damaged clouds too, see ``damage.parse``: "jitter:3", "all".
-        grid: test a checkpoint on every cell of a folder of ``render --grid`` too.
+        grid: test on every cell of a folder of ``render --grid`` too, or on those whose own folders
+            are given.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
             weights do not depend on, such as PAPNet's ``k``.
@@ -124,9 +125,8 @@ def run_eval(
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     damages = damage.parse(test_damages)
-    cells = {} if grid is None else {c.name: Path(grid) / c.name for c in grids.read(Path(grid))}
-    if grid is not None and checkpoint_file is None:
-        raise InputError("--grid tests finished weights: give --checkpoint too")
+    of_grid = [grid] if isinstance(grid, Path | str) else grid or ()
+    cells = [folder for path in of_grid for folder in grids.folders(Path(path))]
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
@@ -165,9 +165,10 @@ def run_eval(
     chosen = models.chosen_options(model, options or {})
     train_set = ShardDataset(data, "train", followed.num_points)
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
+    of_cells = _open_cells(cells, followed.num_points, train_set.class_names)
     _say_odd_classes(train_set, test_sets[0])
     if inputs.NORMALS in card.inputs:
-        for part in (train_set, *test_sets):
+        for part in (train_set, *test_sets, *of_cells):
             inputs.require(part, model)
     if poses:  # before a training that could not be tested so
         fresh = models.create(model, len(train_set.class_names), chosen)
@@ -204,8 +205,9 @@ def run_eval(
                 if fabric.is_global_zero:
                     content = checkpoint.load(RunFolder(folder).branch(goal))
                     written += testing.run_tests(
-                        content, trained.model, test_sets, poses, fabric, results_folder, damages
-                    )
+                        content, trained.model, [*test_sets, *of_cells], poses, fabric,
+                        results_folder, damages,
+                    )  # fmt: skip
             fabric.barrier()
     return written
 
@@ -276,7 +278,7 @@ def _test_checkpoint(
     options: Mapping[str, Any],
     fabric: Fabric,
     results_folder: Path,
-    cells: Mapping[str, Path],
+    cells: Sequence[Path],
 ) -> list[Result]:
     if not folders and not cells:
         raise InputError("nothing to test on: give --data, --test-data or --grid")
@@ -302,10 +304,7 @@ def _test_checkpoint(
     test_sets = _open_test_sets(
         folders, [content["num_points"], *test_points], tuple(content["class_names"])
     )
-    for name, folder in cells.items():
-        (cell,) = _open_test_sets([folder], [content["num_points"]], tuple(content["class_names"]))
-        cell.grid = name
-        test_sets.append(cell)
+    test_sets += _open_cells(cells, content["num_points"], tuple(content["class_names"]))
     if inputs.needs_normals(model):
         for part in test_sets:
             inputs.require(part, model_name)
@@ -347,6 +346,16 @@ def _open_test_sets(
     for test_set in test_sets:
         _require_shared_class(train_classes, test_set)
     return test_sets
+
+
+def _open_cells(
+    folders: Sequence[Path], points: int, train_classes: tuple[str, ...]
+) -> list[ShardDataset]:
+    """The test split of each cell of a grid, which says that it is one."""
+    cells = _open_test_sets(folders, [points], train_classes)
+    for cell, folder in zip(cells, folders, strict=True):
+        cell.grid = folder.name
+    return cells
 
 
 def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> None:

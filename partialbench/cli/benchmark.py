@@ -111,7 +111,7 @@ def evaluate(
     ] = None,
     grid: Annotated[
         Path | None,
-        typer.Option(help="with --checkpoint: test on every cell of a folder of render --grid"),
+        typer.Option(help="test on every cell of a folder of render --grid too, or on one cell"),
     ] = None,
     test_damage: Annotated[
         list[str] | None,

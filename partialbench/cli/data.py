@@ -78,8 +78,8 @@ def render(
     occluders: Annotated[
         float,
         typer.Option(
-            help="put other objects of the source before each, to hide about this share of its "
-            "image: 0 to 0.9"
+            help="put other objects of the source before each (ps15: furniture of its scan), to "
+            "hide about this share of what is seen of it: 0 to 0.9"
         ),
     ] = 0.0,
     grid: Annotated[

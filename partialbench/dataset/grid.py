@@ -138,6 +138,21 @@ def read(folder: Path) -> list[Cell]:
         ) from error
 
 
+def folders(path: Path) -> list[Path]:
+    """The data folders of a grid's cells, or that of one cell.
+
+    Args:
+        path: a folder that ``render --grid`` made, or one of a cell in it.
+
+    Raises:
+        InputError: neither.
+    """
+    inside = not (path / NAME).is_file() and (path.parent / NAME).is_file()
+    if inside and path.name in [cell.name for cell in read(path.parent)]:
+        return [path]
+    return [path / cell.name for cell in read(path)]
+
+
 def parse(name: str) -> Cell:
     """The cell that ``Cell.name`` named.
 

@@ -12,6 +12,7 @@ from partialbench.errors import InputError
 
 POOL = 3
 """Other objects that the views of one object choose from: reading a mesh costs more than a view."""
+MOST_OCCLUDED = 0.9
 _TRIES = 20
 
 
@@ -28,13 +29,22 @@ class Others:
     rngs: list[np.random.Generator]
 
 
+def require_share(share: float) -> None:
+    """Raises ``InputError`` for a share of an object that occluders cannot be asked to hide."""
+    if not 0 <= share <= MOST_OCCLUDED:
+        raise InputError(f"occluders must hide a share of 0 to {MOST_OCCLUDED}, got {share!r}")
+
+
 def draw_others(source: Source, ref: ObjectRef, rng: np.random.Generator) -> list[Any]:
-    """``POOL`` objects of the same split, or as many as can be read.
+    """``POOL`` other objects, or as many as can be read: of its split, or what its source puts
+    beside it.
 
     Raises:
         InputError: none of those drawn can be read, or there is no other object.
     """
-    listed = [other for other in source.objects(ref.split) if other.object_id != ref.object_id]
+    beside = getattr(source, "beside", None)
+    near = beside(ref) if beside else source.objects(ref.split)
+    listed = [other for other in near if other.object_id != ref.object_id]
     if not listed:
         raise InputError(
             f"{ref.object_id} is the only object of the split {ref.split!r}: nothing can stand "

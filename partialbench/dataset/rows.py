@@ -173,7 +173,9 @@ def _views(
         seen = job.occluder.views(shape, poses, rngs, **before)
         for v, view in zip(missing, seen, strict=True):
             views[v : v + 1] = [_with_enough_points(view, job.min_visible)]
-        missing = [v for v, view in enumerate(views) if isinstance(view, RejectedView)]
+        missing = [
+            v for v, view in enumerate(views) if isinstance(view, RejectedView) and not view.final
+        ]
         if not missing:
             break
     if not setting.whole and setting.turns != "so3":
@@ -185,7 +187,7 @@ def _views(
         return views
     return [
         RejectedView(view.reason, {**view.details, "attempts": attempts})
-        if isinstance(view, RejectedView)
+        if isinstance(view, RejectedView) and not view.final
         else view
         for view in views
     ]
@@ -194,7 +196,8 @@ def _views(
 def _with_enough_points(view: View | RejectedView, minimum: int) -> View | RejectedView:
     if isinstance(view, RejectedView) or view.n_visible >= minimum:
         return view
-    return RejectedView(FEW_POINTS, {"visible": int(view.n_visible), "minimum": minimum})
+    details = {"visible": int(view.n_visible), "minimum": minimum}
+    return RejectedView(FEW_POINTS, details, final=view.occluded_fraction is not None)
 
 
 def _poses(

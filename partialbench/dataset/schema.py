@@ -62,7 +62,8 @@ FIELDS: tuple[Field, ...] = (
            "unit normals of the surface at the points, towards the camera (n·p < 0)",
            optional=True),
     _field("occluded_fraction", (), "<f4", "", "1",
-           "share of the object's pixels that other objects hide", optional=True),
+           "share of the object's pixels, or of its points in view, that other objects hide",
+           optional=True),
 )  # fmt: skip
 """Every field of a row, in the order in which the row digest reads them."""
 

@@ -66,8 +66,8 @@ class View:
             the camera (n·p < 0), or None.
         symmetry: name of this object's own symmetry group (``geometry.symmetry.GROUPS``), or None
             for its class's.
-        occluded_fraction: share of the object's pixels that other objects hide, or None where none
-            were put before it.
+        occluded_fraction: share of the object's pixels (or of its points in view) that other
+            objects hide, or None where none were put before it.
     """
 
     points: NDArray[np.float32]
@@ -89,10 +89,13 @@ class RejectedView:
     Attributes:
         reason: the rule, in a short phrase that is the same for every view it turns away.
         details: the values that broke it, as JSON data.
+        final: no other pose is drawn for it, as what turned it away are the objects before it: it
+            pairs with the view from this pose without them.
     """
 
     reason: str
     details: dict[str, Any] = field(default_factory=dict)
+    final: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,8 @@ class Source(Protocol):
     pose per generator: scanned scenes choose viewpoints where a person could stand. Without it the
     builder draws the paper's poses (``geometry.camera.sample_pose``), as it does for every source
     for complete clouds. It may have ``listing``, a sentence on how its files were understood,
-    and ``pose``: "none" where nobody knows the poses of its objects.
+    and ``pose``: "none" where nobody knows the poses of its objects. And ``beside(ref)``, the
+    objects that may be put before one, where those are not all others of its split.
 
     Attributes:
         class_names: label → name, in label order.
@@ -162,10 +166,10 @@ class Occluder(Protocol):
     """From a shape to what given viewpoints see of it.
 
     An occluder may also have ``attempts``: how often the builder draws a pose anew for a view that
-    is rejected (once without it). A rejected view of the last attempt is recorded. And
-    ``min_visible``: how many distinct points a view of this kind shows at least, by default. And
-    ``occluders``: where it is not 0, ``views`` takes ``others`` (``dataset.others.Others``), which
-    stand before the object.
+    is rejected and not ``final`` (once without it). A rejected view of the last attempt is
+    recorded. And ``min_visible``: how many distinct points a view of this kind shows at least, by
+    default. And ``occluders``: where it is not 0, ``views`` takes ``others``
+    (``dataset.others.Others``), which stand before the object.
     """
 
     def views(

@@ -12,6 +12,7 @@ import pytest
 from partialbench.benchmark.campaign.file import load
 from partialbench.benchmark.campaign.jobs import Condition, Ledger, all_jobs, from_dict
 from partialbench.benchmark.campaign.run import run
+from partialbench.benchmark.testing import damage
 from partialbench.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -190,3 +191,17 @@ def test_the_board_s_own_file_holds_together():
     campaign = load(ROOT / "leaderboard" / "campaign.toml")
     models = {job.model for job in all_jobs(campaign)}
     assert {"pointnet", "papnet", "papnet-steered", "rri-pointnet2"} <= models
+
+
+def test_the_board_tests_its_rows_under_all_damages_and_on_a_grid():
+    """All but what takes normals, of which damaged and moved clouds have none."""
+    campaign = load(ROOT / "leaderboard" / "campaign.toml")
+    tested = {"pm40-clouds": len(damage.parse("all")), "pm40-parametric": 39}
+    for data, count in tested.items():
+        jobs = [
+            j for j in all_jobs(campaign)
+            if (j.data, j.clouds, j.seed, j.kind) == (data, 25_000, 0, "train")
+        ]  # fmt: skip
+        found = {j.model: sum(bool(t.damage or t.cell) for t in j.tests) for j in jobs}
+        assert len(found) == 23
+        assert {model for model, tests in found.items() if tests != count} == {"riconv2-normals"}

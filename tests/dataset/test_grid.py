@@ -105,5 +105,10 @@ def test_a_grid_is_rendered_and_tested(tmp_path):
         "z-rotated", "rotated", "partial-z", "partial",
     }  # fmt: skip
     assert json.loads((tmp_path / "grid" / grid.NAME).read_text())["format"] == grid.FORMAT
-    with pytest.raises(InputError, match="give --checkpoint"):
-        run_eval(f"{MODELS}:Posed", data, grid=grown, results_folder=results, **SMALL)
+    # Trained and tested in one, on one of its cells.
+    name = next(iter(sets))
+    both = run_eval(
+        f"{MODELS}:Posed", data, grid=f"{grown}/{name}", results_folder=results, **SMALL
+    )
+    assert [r.grid for r in both] == ["", name]
+    assert both[1].predictions_sha256 == tested[0].predictions_sha256

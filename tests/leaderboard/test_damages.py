@@ -6,7 +6,7 @@ import pytest
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
 from leaderboard.tables.curves import find_families
-from leaderboard.tables.damages import as_layout, find_damages, mean_errors
+from leaderboard.tables.damages import as_layout, find_damages, harmless_kinds, mean_errors
 from partialbench.benchmark.records import results
 from partialbench.benchmark.testing.damage import MODELNET_C, STRENGTHS, parse
 from partialbench.errors import InputError
@@ -86,6 +86,28 @@ def test_a_reference_that_loses_nothing_gives_no_ratio():
     mce, rmce = mean_errors(right, right, np.array(["a", "b", "c"]))
     assert mce[0] == 1
     assert np.isnan(rmce).all()
+
+
+def test_a_kind_that_the_reference_does_not_lose_under_is_left_out_of_what_is_lost():
+    """Its ratio is one of two noises."""
+    objects = np.array([f"o{k}" for k in range(200)])
+    clean = np.arange(200) % 4 > 0
+
+    def row(lost):
+        found = {"": clean.astype(float)}
+        for name in parse(MODELNET_C):
+            some = np.arange(200) % 10 < lost
+            harmless = name.startswith("rotate-about-view")
+            found[name] = (clean & ~(some & (not harmless))).astype(float)
+        return found
+
+    reference, other = row(4), row(2)
+    assert harmless_kinds(reference, objects) == ("rotate-about-view",)
+    mce, rmce = mean_errors(other, reference, objects)
+    ratios = [(clean & (np.arange(200) % 10 < lost)).sum() for lost in (2, 4)]
+    assert rmce[0] == pytest.approx(ratios[0] / ratios[1])
+    assert rmce[1] < rmce[0] < rmce[2]
+    assert mce[0] < 1
 
 
 def test_two_conditions_at_once_compare_with_no_row(tmp_path):

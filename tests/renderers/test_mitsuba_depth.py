@@ -19,7 +19,7 @@ from partialbench.dataset.seeding import generator
 from partialbench.dataset.sources import RejectedView, View
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera, fit_ball, sample_pose
-from renderers import mitsuba_depth
+from renderers import tracing
 from renderers.mitsuba_depth import NOTHING_SEEN, MitsubaOccluder, back_project
 from renderers.sources.folder import MeshFolder
 from renderers.sources.mesh import normalise
@@ -283,7 +283,7 @@ def test_bits_do_not_depend_on_threads_processes_order_or_batches(
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(2, mp_context=spawn) as pool:
         assert list(pool.map(_render, [occluder] * 3, names)) == expected
-    monkeypatch.setattr(mitsuba_depth, "MAX_RAYS", 96 * 96)
+    monkeypatch.setattr(tracing, "MAX_RAYS", 96 * 96)
     assert [_render(occluder, name) for name in names] == expected
     # One view alone is the same as among others.
     given = poses(3, "torus")

@@ -83,6 +83,17 @@ def test_edges_are_fattened_and_grazing_surfaces_lost():
     assert 0.5 < fattening(sensor) < 4
     assert filled(sensor, 0) > 0.95
     assert filled(sensor, 85) < 0.7
+    assert filled(sensor, 80, albedo=0.03) < filled(sensor, 80) - 0.15
+
+
+def test_a_part_of_an_object_is_dark_from_one_side_on():
+    vertices, faces = TORUS.vertices, TORUS.faces
+    for k in range(5):
+        light, dark = stereo._split((vertices, faces), 0.3, generator(0, "dark", k))
+        assert len(light[1]) + len(dark[1]) == len(faces)
+        assert 0 < len(dark[1]) < len(light[1])
+    light, dark = stereo._split((vertices, faces), 0.0, generator(0, "dark"))
+    assert (len(light[1]), len(dark[1])) == (len(faces), 0)
 
 
 @pytest.mark.slow
@@ -100,7 +111,9 @@ def test_the_images_do_not_hang_on_the_number_of_threads():
     for threads in (1, 2):
         activate(pick_variant(), threads)
         found.append(
-            sensor.measure([quad(1.2, 0.1)], camera_of(sensor, 64), (0.9, 1.6), generator(0, "t"))
+            sensor.measure(
+                [(quad(1.2, 0.1), 0.4)], camera_of(sensor, 64), (0.9, 1.6), generator(0, "t")
+            )
         )
     for one, two in zip(*found, strict=True):
         np.testing.assert_array_equal(one, two)

@@ -14,9 +14,9 @@ from partialbench.benchmark.records.declared import Declared, State
 from partialbench.benchmark.variant import describe_changes, pairs_text
 
 
-def declare(campaign: Campaign) -> Status:
+def declare(campaign: Campaign, ledger: Ledger | None = None) -> Status:
     """Writes the file (see ``records.declared``) and says where the campaign stands."""
-    ledger = Ledger(campaign)
+    ledger = ledger or Ledger(campaign)
     found = status(campaign, ledger)
     campaign.results.mkdir(parents=True, exist_ok=True)
     declared.write(path_of(campaign), _rows(campaign, ledger, found))

@@ -12,6 +12,10 @@
     [data.clouds]
     render = "pm40 --source ${MODELNET40_CLOUDS}"         # waits until the variable is set
 
+    [data.grid]
+    render = "pm40 --counts modelnet40"
+    grid = "grid.toml"             # a data folder for each cell of it, see ``dataset.grid``
+
     [[train]]
     models = ["pointnet", "papnet"]
     data = ["shapes"]
@@ -20,6 +24,7 @@
     test = ["clouds"]              # other data sets to test on as well
     points = [64]                  # tests on fewer points; poses = ["0", "15"]: with the pose given
     damages = ["all"]              # tests on damaged clouds; ["jitter:3"]
+    grids = ["grid"]               # tests on every cell of these
     options = {grid = 16}          # of the model; recipe = {lr = 0.002}; precision = "bf16-mixed"
     protocol = {stretch = 1.25}    # fields of the preset to change: another protocol, other columns
 
@@ -50,24 +55,26 @@ from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.testing import damage, given_pose
+from partialbench.dataset import grid as grid_files
 from partialbench.errors import InputError
 from partialbench.registry import ModelCard, close_matches
 
 TOP = ("results", "work", "board", "preset", "data", "train", "tune")
-DATA = ("render", "digests", "made_by")
+DATA = ("render", "digests", "made_by", "grid")
 COMMON = ("models", "data", "clouds", "options", "recipe", "precision", "protocol")
-TRAIN = (*COMMON, "seeds", "test", "points", "poses", "damages")
+TRAIN = (*COMMON, "seeds", "test", "points", "poses", "damages", "grids")
 TUNE = (*COMMON, "tries", "seed")
 
 
 @dataclass(frozen=True)
 class DataSet:
-    """One data folder of a campaign.
+    """One data folder of a campaign, or a grid: a folder of such folders.
 
     Attributes:
         name: as the file calls it.
         folder: where it is or will be.
         render: the arguments of ``partialbench render`` but for ``--out``.
+        cells: of a grid, the names of its cells; () for a data folder.
         digests: split → digest that its content must have; {} where the file declares none.
         made_by: what the file says made those, "" for nothing.
         missing: names of environment variables in ``render`` that are not set.
@@ -79,6 +86,12 @@ class DataSet:
     digests: Mapping[str, str] = field(default_factory=dict)
     made_by: str = ""
     missing: tuple[str, ...] = ()
+    cells: tuple[str, ...] = ()
+
+    @property
+    def folders(self) -> dict[str, Path]:
+        """The data folders: of each cell by its name, or the one by ""."""
+        return {cell: self.folder / cell for cell in self.cells} or {"": self.folder}
 
 
 @dataclass(frozen=True)
@@ -86,7 +99,7 @@ class Entry:
     """One ``[[train]]`` or ``[[tune]]`` of the file, every name in it known.
 
     Attributes:
-        kind: "train" or "tune". data, test: names of data sets.
+        kind: "train" or "tune". data, test: names of data sets. grids: of those that are grids.
         clouds: milestones, ascending. seeds: one or more.
         protocol: fields of the preset to change.
         tries: of a "tune", fields of the recipe to change, one mapping a trial.
@@ -106,6 +119,7 @@ class Entry:
     poses: tuple[str, ...] = ()
     tries: tuple[Mapping[str, Any], ...] = ()
     damages: tuple[str, ...] = ()
+    grids: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -199,6 +213,9 @@ class _Reader:
         )
         if "--out" in arguments:
             raise self.wrong("--out", "render must not say --out: the folder is the campaign's own")
+        cells = self.cells(name, fields, arguments)
+        if cells:
+            arguments += "--grid", str(self.path.resolve().parent / fields["grid"])
         digests = self.table(fields.get("digests", {}), "digests")
         self.known(digests, ("train", "test"), "digests")
         for split, digest in digests.items():
@@ -208,8 +225,22 @@ class _Reader:
                 )
         return DataSet(
             name, work / "data" / name, arguments, dict(digests),
-            self.text(fields.get("made_by", ""), "made_by"), missing,
+            self.text(fields.get("made_by", ""), "made_by"), missing, cells,
         )  # fmt: skip
+
+    def cells(self, name: str, fields: Mapping[str, Any], render: Sequence[str]) -> tuple[str, ...]:
+        """The names of a grid's cells, () of a data set that is none."""
+        if "--grid" in render:
+            raise self.wrong("--grid", f'[data.{name}] says its grid by grid = "FILE.toml"')
+        if "grid" not in fields:
+            return ()
+        if "digests" in fields:
+            raise self.wrong("digests", f"[data.{name}] is a grid, which declares no digests")
+        path = self.path.resolve().parent / self.text(fields["grid"], "grid")
+        try:
+            return tuple(cell.name for cell in grid_files.load(path))
+        except InputError as error:
+            raise self.wrong("grid", f"[data.{name}]: {error}") from error
 
     def entry(self, kind: str, fields: Any, data: Mapping[str, DataSet], preset: str) -> Entry:
         self.known(fields, TRAIN if kind == "train" else TUNE, f"[[{kind}]]")
@@ -235,11 +266,9 @@ class _Reader:
                     recipes.override(own, tried)
             except InputError as error:
                 raise self.wrong(model, str(error)) from error
-        names = self.several(fields["data"], str, "data")
-        tests = self.several(fields.get("test", []), str, "test")
-        for name in (*names, *tests):
-            if name not in data:
-                raise self.wrong(name, f"no data set named {name!r}", data)
+        names, tests, grids = (
+            self.data_names(fields, field, data) for field in ("data", "test", "grids")
+        )
         seeds = fields.get("seeds", fields.get("seed", 1 if kind == "train" else [0]))
         if isinstance(seeds, int) and not isinstance(seeds, bool) and kind == "train":
             seeds = list(range(seeds))
@@ -269,12 +298,26 @@ class _Reader:
             poses,
             tuple(tries),
             self.damages(fields),
+            grids,
         )
         if found.points and min(found.points) < 1:
             raise self.wrong("points", f"points must be 1 or more, got {min(found.points)}")
         if not found.seeds or min(found.seeds) < 0:
             raise self.wrong("seeds", f"seeds must be one or more, from 0 on; got {seeds!r}")
         return found
+
+    def data_names(
+        self, fields: Mapping[str, Any], field: str, data: Mapping[str, DataSet]
+    ) -> tuple[str, ...]:
+        """What a field names: data sets, or in ``grids`` those that are grids."""
+        names = self.several(fields.get(field, []), str, field)
+        for name in names:
+            if name not in data:
+                raise self.wrong(name, f"no data set named {name!r}", data)
+            if bool(data[name].cells) != (field == "grids"):
+                kind = "a grid" if data[name].cells else "one data set and no grid"
+                raise self.wrong(f'"{name}"', f"{field} names {name!r}, which is {kind}")
+        return names
 
     def damages(self, fields: Mapping[str, Any]) -> tuple[str, ...]:
         try:

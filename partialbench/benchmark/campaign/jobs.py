@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.records.trials import FILE, Trial, read_trials
 from partialbench.benchmark.variant import describe_changes, pairs_text
 from partialbench.dataset import manifest as manifests
+from partialbench.dataset.manifest import Manifest
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
@@ -35,12 +36,13 @@ FAILURES = "failures.jsonl"
 @dataclass(frozen=True)
 class Condition:
     """On what a milestone is tested: the data set's name, points of a cloud (None: as trained), the
-    pose that is given and the damage done ("" for none)."""
+    pose that is given, the damage done and, of a grid, the cell ("" for none)."""
 
     data: str
     points: int | None = None
     pose: str = ""
     damage: str = ""
+    cell: str = ""
 
 
 @dataclass(frozen=True)
@@ -108,20 +110,21 @@ def all_jobs(campaign: Campaign) -> list[Job]:
     """
     found: dict[tuple[object, ...], Job] = {}
     for entry in campaign.entries:
-        for job in _jobs_of(entry):
+        for job in _jobs_of(entry, campaign.data):
             key = (job.kind, *job.training, job.clouds)
             tests = dict.fromkeys((*(found[key].tests if key in found else ()), *job.tests))
             found[key] = Job(**{**vars(job), "tests": tuple(tests)})
     return sorted(found.values(), key=lambda job: (job.clouds, job.seed))
 
 
-def _jobs_of(entry: Entry) -> Iterable[Job]:
+def _jobs_of(entry: Entry, data_sets: Mapping[str, DataSet]) -> Iterable[Job]:
     tries = entry.tries or ({},)
+    cells = [Condition(name, cell=cell) for name in entry.grids for cell in data_sets[name].cells]
     for clouds in entry.clouds:
         for seed in entry.seeds:
             for model in entry.models:
                 for data in entry.data:
-                    tests = _tests(entry, data) if entry.kind == "train" else ()
+                    tests = _tests(entry, data, cells) if entry.kind == "train" else ()
                     for changes in tries:
                         yield Job(
                             entry.kind, model, _json(entry.options),
@@ -130,13 +133,14 @@ def _jobs_of(entry: Entry) -> Iterable[Job]:
                         )  # fmt: skip
 
 
-def _tests(entry: Entry, data: str) -> tuple[Condition, ...]:
+def _tests(entry: Entry, data: str, cells: Iterable[Condition]) -> tuple[Condition, ...]:
     own = [Condition(name) for name in dict.fromkeys((data, *entry.test))]
     return (
         *own,
         *(Condition(test.data, points) for test in own for points in entry.points),
         *(Condition(test.data, None, pose) for test in own for pose in entry.poses),
         *(Condition(test.data, None, "", name) for test in own for name in entry.damages),
+        *cells,
     )
 
 
@@ -145,15 +149,17 @@ def _json(data: Mapping[str, Any]) -> str:
 
 
 def digests(data: DataSet) -> dict[str, str]:
-    """Split → digest of a data set: of its folder where that is complete, else as declared.
+    """Split → digest of a data set: of its folder where that is complete, else as declared. Of a
+    grid, cell → digest of its test split, of those cells that are complete.
 
     Raises:
         InputError: a complete folder whose digests are not the declared ones.
     """
-    if not (data.folder / manifests.NAME).is_file():
-        return dict(data.digests)
-    manifest = manifests.load(data.folder)
-    if manifest.state != "complete":
+    if data.cells:
+        of_cells = {cell: _complete(folder) for cell, folder in data.folders.items()}
+        return {cell: of.digests["test"] for cell, of in of_cells.items() if of is not None}
+    manifest = _complete(data.folder)
+    if manifest is None:
         return dict(data.digests)
     for split, declared in data.digests.items():
         found = manifest.digests.get(split, "(no such split)")
@@ -169,17 +175,33 @@ def digests(data: DataSet) -> dict[str, str]:
     return dict(manifest.digests)
 
 
+def _complete(folder: Path) -> Manifest | None:
+    """What is in a data folder, None where it is not complete."""
+    if not (folder / manifests.NAME).is_file():
+        return None
+    manifest = manifests.load(folder)
+    return manifest if manifest.state == "complete" else None
+
+
+def is_rendered(data: DataSet) -> bool:
+    """Whether its folder, or that of each cell, is complete."""
+    return all(_complete(folder) is not None for folder in data.folders.values())
+
+
 class Ledger:
     """What a campaign's folders say about its jobs.
 
+    Args:
+        without: names of grids that cannot be rendered here: their cells are asked of no job.
+
     Attributes:
-        digests: data set name → split → digest.
+        digests: data set name → split (of a grid: cell) → digest.
         speeds: (model, options) → training clouds a second, medians as recorded.
         unreadable: sentences about records that could not be read.
     """
 
-    def __init__(self, campaign: Campaign) -> None:
-        self.campaign = campaign
+    def __init__(self, campaign: Campaign, without: Collection[str] = ()) -> None:
+        self.campaign, self.without = campaign, without
         self.digests = {name: digests(data) for name, data in campaign.data.items()}
         self.unreadable: list[str] = []
         self.speeds: dict[tuple[str, str], float] = {}
@@ -202,7 +224,21 @@ class Ledger:
             return False
         if job.kind == "tune":
             return self._trial(job, train) in self._tried
-        return all(self._record(job, train, test) in self._done for test in job.tests)
+        return not self.missing_tests(job)
+
+    def missing_tests(self, job: Job) -> tuple[Condition, ...]:
+        """The tests of a training's job that have no record."""
+        train = self.digests[job.data].get("train", "")
+        return tuple(
+            test
+            for test in job.tests
+            if self._record(job, train, test) not in self._done
+            and not (test.cell and test.data in self.without)
+        )
+
+    def is_trained(self, job: Job) -> bool:
+        """Whether a training reached its milestone: its own test has a record."""
+        return job.kind == "train" and Condition(job.data) not in self.missing_tests(job)
 
     def has_failed(self, job: Job) -> bool:
         """Whether it, or an earlier milestone of its training, diverged or broke."""
@@ -237,7 +273,7 @@ class Ledger:
                 result.model, _json(result.options), _json(result.recipe),
                 result.training["environment"]["precision"], result.seed, result.clouds,
                 result.protocol_digest, result.train_data.digest, test.digest,
-                test.points, result.given_pose, result.damage,
+                test.points, result.given_pose, result.damage, result.grid,
             )
         )  # fmt: skip
         speed = result.training["clouds_per_second"]
@@ -247,8 +283,8 @@ class Ledger:
         protocol = self.protocol_of(job)
         return (
             job.model, job.options, self.recipe_of(job), job.precision, job.seed, job.clouds,
-            protocol.digest, train, self.digests[test.data].get("test"),
-            test.points or protocol.num_points, test.pose, test.damage,
+            protocol.digest, train, self.digests[test.data].get(test.cell or "test"),
+            test.points or protocol.num_points, test.pose, test.damage, test.cell,
         )  # fmt: skip
 
     def _trial(self, job: Job, train: str) -> tuple[object, ...]:

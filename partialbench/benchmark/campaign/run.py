@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -31,7 +32,6 @@ from partialbench.benchmark.campaign.worker import (
     run_in_process,
 )
 from partialbench.benchmark.records.results import file_name
-from partialbench.dataset import manifest as manifests
 from partialbench.dataset.executors import dask_cluster
 from partialbench.dataset.lock import sole_user
 from partialbench.dataset.shards import write_atomically
@@ -140,8 +140,13 @@ class _Runner:
         self.running: dict[Future, Job] = {}
         self.unrendered: dict[str, str] = {}
 
+    def ledger(self) -> Ledger:
+        """What is done now, of what can be; a grid that cannot be made holds up no training."""
+        return Ledger(self.campaign, self.unrendered)
+
     def wanted(self, job: Job) -> bool:
-        if any(test.data in self.unrendered for test in job.tests) or job.data in self.unrendered:
+        needed = {job.data, *(test.data for test in job.tests if not test.cell)}
+        if not needed.isdisjoint(self.unrendered):
             return False
         name = f"{job.model}@{job.data}"
         patterns = [each if "@" in each else f"{each}@*" for each in self.only]
@@ -165,7 +170,7 @@ class _Runner:
 
     def work(self, executor: Executor, width: int) -> bool:
         """Runs jobs until none is missing (True) or the time is over (False)."""
-        stopped, state = False, declare(self.campaign)
+        stopped, state = False, declare(self.campaign, self.ledger())
         try:
             while True:
                 if not self.is_over() and not stopped:
@@ -179,7 +184,7 @@ class _Runner:
                 for future in done:
                     stopped |= self._end(future)
                 if done:
-                    state = declare(self.campaign)
+                    state = declare(self.campaign, self.ledger())
                     self.say(f"{len(state.missing)} jobs, {state.hours:.1f} core hours to go")
         except BaseException:
             # Ctrl-C and whatever else: what runs saves its state first.
@@ -213,8 +218,11 @@ class _Runner:
                 f"give the same command"
             )
         work = self.campaign.work
+        # One that was tested before and has new tests is tested on those.
+        tests = self.ledger().missing_tests(job) if job.kind == "train" else ()
         order = {
-            "job": job.as_dict(), "preset": self.campaign.preset, "device": self.device,
+            "job": replace(job, tests=tests).as_dict(),
+            "preset": self.campaign.preset, "device": self.device,
             "results": str(self.campaign.results), "runs": str(work / "runs"),
             "folders": {name: str(data.folder) for name, data in self.campaign.data.items()},
             "seconds": None if self.deadline is None else self.deadline - time.monotonic(),
@@ -230,7 +238,7 @@ class _Runner:
         self._write_running()
         answer = _answer(future, job)
         if answer["outcome"] == DONE:
-            if not Ledger(self.campaign).is_done(job):
+            if not self.ledger().is_done(job):
                 # Or it would be begun again for ever.
                 raise PartialbenchError(
                     f"{job.title} says it is done, but {self.campaign.results} has no record of "
@@ -295,8 +303,7 @@ def _executor(
 
 def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[str], None]) -> None:
     """Makes a data folder, or goes on with it, and holds it against its declared digests."""
-    made = (data.folder / manifests.NAME).is_file()
-    if made and manifests.load(data.folder).state == "complete":
+    if job_files.is_rendered(data):
         job_files.digests(data)
         return
     say(f"rendering {data.name} into {data.folder}")

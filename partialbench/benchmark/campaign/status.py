@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from partialbench.benchmark.campaign.file import Campaign
-from partialbench.benchmark.campaign.jobs import Job, Ledger, all_jobs
+from partialbench.benchmark.campaign.jobs import Job, Ledger, all_jobs, is_rendered
 from partialbench.benchmark.protocol import milestones
 
 RUNNING = "running.json"
@@ -25,7 +25,7 @@ class Status:
         done, running, missing, failed: jobs, in the campaign's order; what runs or failed is not
             among the missing.
         waiting: jobs whose data cannot be made here → the reason.
-        hours: of one core, for what is missing or running and has a recorded speed.
+        hours: of one core, for the trainings that are missing or running and have a recorded speed.
         without_speed: how many jobs have none.
         notes: sentences about records that could not be read.
     """
@@ -101,6 +101,9 @@ def status(campaign: Campaign, ledger: Ledger | None = None) -> Status:
             continue
         else:
             found.missing.append(job)
+        if ledger.is_trained(job):  # only tests are missing
+            reached[job.training] = max(reached.get(job.training, 0), job.clouds)
+            continue
         speed = ledger.speeds.get((job.model, job.options))
         if speed is None:
             found.without_speed += 1
@@ -115,7 +118,7 @@ def status(campaign: Campaign, ledger: Ledger | None = None) -> Status:
 def _cannot_be_made(campaign: Campaign, job: Job) -> str:
     for name in dict.fromkeys((job.data, *(test.data for test in job.tests))):
         data = campaign.data[name]
-        if data.missing and not (data.folder / "manifest.json").is_file():
+        if data.missing and not is_rendered(data):
             return f"data set {name!r} needs the environment variable {', '.join(data.missing)}"
     return ""
 

@@ -108,11 +108,13 @@ def _work(job: Job, order: dict[str, Any], stop: Path) -> None:
     from partialbench.benchmark.run import run_eval
 
     run_eval(
-        job.model, folders[job.data], [folders[t.data] for t in job.tests if t.data != job.data],
+        job.model, folders[job.data],
+        [folders[t.data] for t in job.tests if t.data != job.data and not t.cell],
         seeds=1, first_seed=job.seed, clouds=[job.clouds], recipe=json.loads(job.recipe),
         test_points=[t.points for t in job.tests if t.points is not None],
         test_poses=[t.pose for t in job.tests if t.pose],
-        test_damages=[t.damage for t in job.tests if t.damage], **common,
+        test_damages=[t.damage for t in job.tests if t.damage],
+        grid=[Path(folders[t.data]) / t.cell for t in job.tests if t.cell], **common,
     )  # fmt: skip
 
 

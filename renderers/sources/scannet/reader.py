@@ -50,6 +50,7 @@ class ScanInstance:
         points: (n,3) float32, canonical frame (z up), bounding-box centre at the origin, largest
             norm 1.
         normals: (n,3) float32 of the scan's surface there, same frame.
+        faces: (f,3) uint32 of the scan's mesh, those whose corners are all among the points.
         symmetry: ``geometry.symmetry.GROUPS`` name, Scan2CAD's for the instance's CAD model.
         R_scan_object: (3,3) float64 in SO(3).
         scale_m: metres per object unit.
@@ -65,6 +66,7 @@ class ScanInstance:
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
+    faces: NDArray[np.uint32]
     symmetry: str
     R_scan_object: NDArray[np.float64]
     scale_m: float
@@ -176,7 +178,7 @@ class SceneReader:
         surface = surface_of(scene.vertices, scene.faces) if standing and instances else None
         found = {}
         for instance in instances:
-            shape = _normalised(instance, scene.vertices, scene.normals, floor_z)
+            shape = _normalised(instance, scene, floor_z)
             if self.viewpoints == "standing":
                 shape = self._with_places(shape, places, scene, instance, surface)
                 if len(shape.places) == 0:
@@ -217,10 +219,11 @@ class SceneReader:
         return replace(shape, places=near[np.array(in_sight, np.bool_)], blockers=blockers)
 
 
-def _normalised(
-    instance: Instance, vertices: NDArray, normals: NDArray, floor_z: float
-) -> ScanInstance:
-    pose = instance.pose
+def _normalised(instance: Instance, scene: Scene, floor_z: float) -> ScanInstance:
+    pose, vertices, normals = instance.pose, scene.vertices, scene.normals
+    position = np.full(len(vertices), -1)
+    position[instance.vertices] = np.arange(len(instance.vertices))
+    faces = position[scene.faces]
     metric = pose.to_object(vertices[instance.vertices])
     middle = (metric.min(axis=0) + metric.max(axis=0)) / 2
     scale_m = float(np.linalg.norm(metric - middle, axis=1).max())
@@ -228,6 +231,7 @@ def _normalised(
     return ScanInstance(
         points=((metric - middle) / scale_m).astype(np.float32),
         normals=(normals[instance.vertices] @ pose.R_scan_object).astype(np.float32),
+        faces=faces[(faces >= 0).all(axis=1)].astype(np.uint32),
         symmetry=instance.symmetry,
         R_scan_object=pose.R_scan_object,
         scale_m=scale_m,

@@ -141,6 +141,12 @@ class ScanNetInstances:
             for index, name in listed.instances
         ]
 
+    def beside(self, ref: ObjectRef) -> list[ObjectRef]:
+        """What may be put before an object: the others of its scan, or of its split where it is
+        the scan's only one."""
+        split = [other for other in self.objects(ref.split) if other.object_id != ref.object_id]
+        return [other for other in split if other.location == ref.location] or split
+
     @property
     def rejected(self) -> list[RejectedObject]:
         """Scenes and aligned models that give no instance, with their reasons."""
