@@ -13,6 +13,7 @@ import pytest
 import trimesh
 import typer
 
+from partialbench.benchmark.records import weights
 from partialbench.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,6 +92,12 @@ def test_the_reference_of_commands_is_the_programs(tmp_path):
         "make it anew: python -m typer partialbench.cli.main utils docs --name partialbench "
         "--output docs/reference/commands.md"
     )
+
+
+def test_the_page_of_the_weights_has_what_their_cards_say():
+    """``pack_weights --page docs/weights.md`` writes it."""
+    cards = {name: weights.read_card(weights.file_of(name)) for name in weights.names()}
+    assert weights.block(cards) in (ROOT / "docs" / "weights.md").read_text()
 
 
 def test_every_page_is_in_the_navigation():

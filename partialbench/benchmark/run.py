@@ -25,7 +25,8 @@ from partialbench.benchmark.protocol.split import balanced_subset, split_by_obje
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import damage, given_pose
 from partialbench.benchmark.testing import run as testing
-from partialbench.benchmark.training import checkpoint, dry_run, finetune
+from partialbench.benchmark.training import checkpoint, dry_run, finetune, packed
+from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.benchmark.training.follow import check_log
 from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.training.memory import keep_freed_memory
@@ -144,7 +145,7 @@ def run_eval(
                 f"effect; leave it out, or train without --checkpoint"
             )
         return _test_checkpoint(
-            model, Path(checkpoint_file), folders, preset, test_points, poses, damages,
+            model, find_checkpoint(checkpoint_file), folders, preset, test_points, poses, damages,
             options or {}, fabric, results_folder, cells,
         )  # fmt: skip
     if data is None:
@@ -280,7 +281,7 @@ def _test_checkpoint(
 ) -> list[Result]:
     if not folders and not cells:
         raise InputError("nothing to test on: give --data, --test-data or --grid")
-    content = checkpoint.load(path)
+    content = packed.load(path)
     if content["model"] != model_name:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model_name!r}")
     checkpoint.require_finished(content, path, "be tested")

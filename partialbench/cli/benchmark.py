@@ -39,19 +39,23 @@ class Log(StrEnum):
 
 @commands.command()
 def models(as_json: Json = False) -> None:
-    """List the models that `eval --model` knows."""
-    cards = registry.cards()
-    if as_json:
-        from partialbench.registry import card_data
+    """List the models that `eval --model` knows, and those that come with weights."""
+    from partialbench.benchmark.records import weights
 
-        print(json.dumps([card_data(card) for card in cards.values()], indent=1))
+    cards, packed = registry.cards(), weights.names()
+    if as_json:
+        data = [
+            {**registry.card_data(one), "weights": one.name in packed} for one in cards.values()
+        ]
+        print(json.dumps(data, indent=1))
         return
-    table = Table("name", "title", "input", "parameters (40)", "claims", "reference")
+    table = Table("name", "title", "input", "parameters (40)", "claims", "weights", "reference")
     for card in cards.values():
         count = card.parameters.get(40)
         claims = ", ".join(sorted(card.invariances)) or "–"
         table.add_row(card.name, card.title, card.representation,
-                      f"{count:,}" if count else "", claims, card.reference)  # fmt: skip
+                      f"{count:,}" if count else "", claims, "yes" if card.name in packed else "",
+                      card.reference)  # fmt: skip
     stdout.print(table)
 
 
@@ -228,10 +232,9 @@ def tune(
 
 
 @commands.command(
-    epilog="Examples: `partialbench predict --checkpoint results/runs/… mug.ply` · "
-    "`partialbench predict --checkpoint results captures/ --json` · "
-    "`partialbench predict --checkpoint C depth.png --intrinsics 525,525,319.5,239.5 "
-    "--depth-scale 0.001`"
+    epilog="Examples: `partialbench predict mug.ply` · "
+    "`partialbench predict captures/ --checkpoint results --json` · "
+    "`partialbench predict depth.png --intrinsics 525,525,319.5,239.5 --depth-scale 0.001`"
 )
 def predict(
     file: Annotated[
@@ -242,8 +245,12 @@ def predict(
         ),
     ],
     checkpoint: Annotated[
-        Path, typer.Option(help="written by eval: the file, its run's folder or --results")
-    ],
+        str,
+        typer.Option(
+            help="weights: a model that comes with partialbench, by name, or what eval wrote: the "
+            "file, its run's folder or a folder of results with one run"
+        ),
+    ] = "papnet-steered",
     model: Annotated[
         str | None,
         typer.Option(help="your module:factory, for weights of a model of your own"),
@@ -265,9 +272,13 @@ def predict(
         preflight.check_model(model)
     if not file.exists():
         raise InputError(f"no file at {file}")
+    from partialbench.benchmark.training.find import find_checkpoint
+
+    find_checkpoint(checkpoint)  # before torch is loaded
     from partialbench.benchmark.predict import Classifier, captures
 
     classifier = Classifier(checkpoint, device, model)
+    stderr.print(f"note: {classifier.about}", markup=False, soft_wrap=True)
     if not file.is_dir():
         answer = classifier(file, K, depth_scale, votes)
         print_result(_answer_data(file, answer), as_json, "\n".join(_answer_lines(answer)))
