@@ -179,12 +179,14 @@ def main(
         if not after:
             raise InputError(f"{page} has no {weights.MARK} … {weights.END} to write between")
         write_atomically(page, (before + weights.block(packed_) + after).encode())
-    print(weights.as_markdown({card["identity"]["model"]: card}), end="")
+    typer.echo(weights.as_markdown({card["identity"]["model"]: card}), nl=False)
     rounding = card["rounding"]
-    print(f"16 bits: {rounding['same_answers']:.2%} of {rounding['clouds']} answers are the same, "
-          f"no probability differs by more than {rounding['largest_difference']:.4f}")  # fmt: skip
+    typer.echo(
+        f"16 bits: {rounding['same_answers']:.2%} of {rounding['clouds']} answers are the same, "
+        f"no probability differs by more than {rounding['largest_difference']:.4f}"
+    )
     total = sum(path.stat().st_size for path in out.iterdir() if path.is_file())
-    print(f"{total:,} of {MOST_BYTES:,} bytes in {out}")
+    typer.echo(f"{total:,} of {MOST_BYTES:,} bytes in {out}")
     if total > MOST_BYTES:
         raise typer.Exit(1)
 

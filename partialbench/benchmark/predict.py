@@ -16,8 +16,8 @@ from partialbench.benchmark import inputs
 from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
-from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.benchmark.records import weights as packaged
+from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
 from partialbench.benchmark.training import checkpoint, packed
 from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.dataset.seeding import generator

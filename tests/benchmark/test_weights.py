@@ -50,7 +50,8 @@ def release(made, tmp_path, monkeypatch) -> Path:
 
 
 def test_packed_weights_are_the_trained_ones_in_sixteen_bits(run, made):
-    content, again = checkpoint.load(next(run.rglob("checkpoint.pt"))), packed.load(made / f"{NAME}.safetensors")  # fmt: skip
+    content = checkpoint.load(next(run.rglob("checkpoint.pt")))
+    again = packed.load(made / f"{NAME}.safetensors")
     for field in (*checkpoint.IDENTITY, "summary", "clouds", "train_sources"):
         assert again[field] == content[field], field
     stored = load_file(made / f"{NAME}.safetensors")
@@ -205,10 +206,11 @@ def test_whatever_comes_with_this_release_is_as_right_as_its_card_says(tmp_path)
         source_options={"counts": (1, 5), "seed": 77}, workers=1,
     )  # fmt: skip
     clouds = ShardDataset(tmp_path / "new", "test", 1024)
-    for name in weights.names():
-        classifier = pb.load_model(name, "cpu")
+    for model in weights.names():
+        classifier = pb.load_model(model, "cpu")
         answers = classifier.predict([clouds.points([i])[0] for i in range(len(clouds))])
-        right = [a.class_name == clouds.class_names[i] for a, i in zip(answers, clouds.labels, strict=True)]  # fmt: skip
+        given = [clouds.class_names[label] for label in clouds.labels]
+        right = [a.class_name == name for a, name in zip(answers, given, strict=True)]
         stated = classifier.card["tests"][0]["accuracy"]
         # Four standard deviations of 200 answers; the board's classes are not equally frequent.
-        assert abs(np.mean(right) - stated) < 4 * np.sqrt(0.25 / len(right)), name
+        assert abs(np.mean(right) - stated) < 4 * np.sqrt(0.25 / len(right)), model

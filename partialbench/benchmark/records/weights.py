@@ -187,7 +187,7 @@ def block(cards: dict[str, dict[str, Any]]) -> str:
 def as_markdown(cards: dict[str, dict[str, Any]]) -> str:
     """A table of what each was trained on, and of what it gives on every test, a line a test."""
     lines = [
-        "| weights | trained on | clouds seen | tested on | clouds | rightly named | 95 % interval |",
+        "| weights | trained on | clouds seen | tested on | views | rightly named | interval |",
         "|---|---|---|---|---|---|---|",
     ]
     for name, card in cards.items():
