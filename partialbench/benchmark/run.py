@@ -63,7 +63,7 @@ def run_eval(
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
     test_damages: Sequence[str] = (),
-    grid: Path | str | None = None,
+    test_grid: Path | str | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -79,8 +79,8 @@ def run_eval(
         data: folder of ``partialbench render``: trained on its train split, tested on its test
             split. With a checkpoint, only the test split is used.
         test_data: another such folder, or several; tested on their test splits as well.
-        checkpoint_file: test these weights instead of training, under the protocol they were
-            trained by: what would change a training is an error then.
+        checkpoint_file: test these weights (see ``find_checkpoint``) instead of training, under the
+            protocol they were trained by: what would change a training is an error then.
         preset: "smoke", "board" or "paper"; ``protocol`` and ``protocol_overrides`` change its
             fields (``num_points=512``), which makes it another protocol.
         clouds: the milestones to train to, as ``milestones.parse`` takes them: [25_000, "100k"].
@@ -90,8 +90,8 @@ def run_eval(
         should_stop: asked after every training step; where it says so the state is saved and
             ``TimeLimitError`` raised.
         seeds: how many, counted from ``first_seed``.
-        start_from: checkpoint of a finished training of this model, whose weights each training
-            begins from (fine-tuning); makes another row.
+        start_from: weights of a finished training of this model (see ``find_checkpoint``), which
+            each training begins from (fine-tuning); makes another row.
         device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
         log_to: where a training's log goes while it grows: "csv", at the end only, or "tensorboard"
             too.
@@ -102,7 +102,7 @@ def run_eval(
             one, "15" with noise, "class:0" under each class's own symmetry, "random". Only for a
             model that takes one.
         test_damages: test on damaged clouds too, see ``damage.parse``: "jitter:3", "all".
-        grid: test a checkpoint on every cell of a folder of ``render --grid`` too.
+        test_grid: test a checkpoint on every cell of a folder of ``render --grid`` too.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
             weights do not depend on, such as PAPNet's ``k``.
@@ -125,9 +125,11 @@ def run_eval(
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     damages = damage.parse(test_damages)
-    cells = {} if grid is None else {c.name: Path(grid) / c.name for c in grids.read(Path(grid))}
-    if grid is not None and checkpoint_file is None:
-        raise InputError("--grid tests finished weights: give --checkpoint too")
+    cells = {}
+    if test_grid is not None:
+        cells = {c.name: Path(test_grid) / c.name for c in grids.read(Path(test_grid))}
+    if test_grid is not None and checkpoint_file is None:
+        raise InputError("--test-grid tests finished weights: give --checkpoint too")
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
@@ -280,7 +282,7 @@ def _test_checkpoint(
     cells: Mapping[str, Path],
 ) -> list[Result]:
     if not folders and not cells:
-        raise InputError("nothing to test on: give --data, --test-data or --grid")
+        raise InputError("nothing to test on: give --data, --test-data or --test-grid")
     content = packed.load(path)
     if content["model"] != model_name:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model_name!r}")

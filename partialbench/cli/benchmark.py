@@ -22,7 +22,13 @@ if TYPE_CHECKING:
 
 commands = Verbs("Models")
 
-HOW_MUCH = "a minute; the table's, one recipe for all; the paper's scale, published recipes"
+HOW_MUCH = (
+    "smoke: a minute; board: the table's, one recipe for all; paper: its scale, published recipes"
+)
+WEIGHTS = (
+    "what eval wrote (the file, its run's folder, a folder of results with one run), or the name "
+    "of a model that comes with weights"
+)
 CLOUDS = "clouds to train to: 100k, or several: 25k,100k (repeatable)"
 
 
@@ -61,6 +67,11 @@ def models(as_json: Json = False) -> None:
 
 @commands.command(
     name="eval",
+    panels={
+        "Training": "preset clouds seeds first_seed recipe option protocol precision log "
+        "checkpoint_every restart",
+        "Testing": "test_data test_points test_pose test_damage test_grid",
+    },
     epilog="Examples: `partialbench eval --model pointnet --data data/pm40` · "
     "`partialbench eval --model pointnet --data data/pm40 --clouds 400k` (goes on from the 100k) · "
     "`partialbench eval --model my_model:make --data data/pm40 --preset smoke` · "
@@ -72,18 +83,16 @@ def evaluate(
         str, typer.Option(help="a name from 'partialbench models', or your module:factory")
     ],
     data: Annotated[Path | None, typer.Option(help="data folder to train and test on")] = None,
-    test_data: Annotated[
-        Path | None, typer.Option(help="another data folder to test on as well")
-    ] = None,
     checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="test these weights instead of training, by the protocol they have"),
+        str | None, typer.Option(help=f"test weights instead of training: {WEIGHTS}")
     ] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="fine-tune: begin from the weights of this checkpoint")
+        str | None, typer.Option(help="fine-tune: begin from weights, named as for --checkpoint")
     ] = None,
     preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.board,
-    clouds: Annotated[list[str] | None, typer.Option(help=CLOUDS)] = None,
+    clouds: Annotated[
+        list[str] | None, typer.Option(help=CLOUDS, show_default="those of the preset")
+    ] = None,
     seeds: Annotated[int, typer.Option(help="how many trainings, one record each")] = 1,
     first_seed: Annotated[int, typer.Option(help="count seeds from here")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
@@ -97,10 +106,14 @@ def evaluate(
         Log, typer.Option(help="csv, written at the end; or event files for TensorBoard too")
     ] = Log.csv,
     checkpoint_every: Annotated[
-        int | None, typer.Option(help="save every so many steps too, not only every few minutes")
+        int | None,
+        typer.Option(help="save every so many steps too", show_default="every few minutes alone"),
     ] = None,
     protocol: Annotated[
-        list[str] | None, typer.Option(help="change a protocol field: num_points=512")
+        list[str] | None, typer.Option(help="change a protocol field: num_points=512 (repeatable)")
+    ] = None,
+    test_data: Annotated[
+        Path | None, typer.Option(help="another data folder to test on as well")
     ] = None,
     test_points: Annotated[
         list[int] | None, typer.Option(help="test on clouds of so many points too (repeatable)")
@@ -113,7 +126,7 @@ def evaluate(
             "random (repeatable)"
         ),
     ] = None,
-    grid: Annotated[
+    test_grid: Annotated[
         Path | None,
         typer.Option(help="with --checkpoint: test on every cell of a folder of render --grid"),
     ] = None,
@@ -124,10 +137,14 @@ def evaluate(
             "all (repeatable; docs/damage.md has the names)"
         ),
     ] = None,
-    recipe: Annotated[list[str] | None, typer.Option(help="change the recipe: lr=0.01")] = None,
+    recipe: Annotated[
+        list[str] | None, typer.Option(help="change the recipe: lr=0.01 (repeatable)")
+    ] = None,
     option: Annotated[
         list[str] | None,
-        typer.Option(help="for the model: k=5; with --checkpoint too, if its weights fit"),
+        typer.Option(
+            help="for the model: k=5 (repeatable); with --checkpoint too, if its weights fit"
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -149,7 +166,7 @@ def evaluate(
             preset=preset.value, seeds=seeds, device=device, clouds=_clouds(clouds),
             restart=restart, first_seed=first_seed, start_from=start_from, precision=precision,
             log_to=log.value, checkpoint_every=checkpoint_every, test_points=test_points or (),
-            test_poses=test_pose or (), test_damages=test_damage or (), grid=grid,
+            test_poses=test_pose or (), test_damages=test_damage or (), test_grid=test_grid,
             recipe=arguments.pairs(recipe),
             options=arguments.texts(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
@@ -177,8 +194,9 @@ def _clouds(given: list[str] | None) -> tuple[int, ...] | None:
 
 
 @commands.command(
+    panels={"Each trial": "preset clouds start_from seed protocol option precision"},
     epilog="Example: `partialbench tune --model dgcnn --data data/pm40 --try lr=0.001 "
-    "--try lr=0.002 --try lr=0.004 --clouds 50k`"
+    "--try lr=0.002 --try lr=0.004 --clouds 50k`",
 )
 def tune(
     model: Annotated[
@@ -190,18 +208,22 @@ def tune(
         typer.Option("--try", help="a recipe: lr=0.01, or lr=0.01,batch_size=16 (repeatable)"),
     ],
     preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.board,
-    clouds: Annotated[str | None, typer.Option(help="clouds of a trial: 50k")] = None,
+    clouds: Annotated[
+        str | None, typer.Option(help="clouds of a trial: 50k", show_default="those of the preset")
+    ] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="each trial begins from the weights of this checkpoint")
+        str | None, typer.Option(help=f"each trial begins from weights: {WEIGHTS}")
     ] = None,
     seed: Annotated[int, typer.Option(help="of every trial")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     precision: Annotated[str, typer.Option(help="of training: 32-true, bf16-mixed")] = "32-true",
     results: Annotated[Path, typer.Option(help="where tuning.csv goes")] = Path("results"),
     protocol: Annotated[
-        list[str] | None, typer.Option(help="change a protocol field: num_points=512")
+        list[str] | None, typer.Option(help="change a protocol field: num_points=512 (repeatable)")
     ] = None,
-    option: Annotated[list[str] | None, typer.Option(help="for the model: k=5")] = None,
+    option: Annotated[
+        list[str] | None, typer.Option(help="for the model: k=5 (repeatable)")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compare recipes on the validation split; run again, it continues."""
@@ -246,10 +268,7 @@ def predict(
     ],
     checkpoint: Annotated[
         str,
-        typer.Option(
-            help="weights: a model that comes with partialbench, by name, or what eval wrote: the "
-            "file, its run's folder or a folder of results with one run"
-        ),
+        typer.Option(help=f"weights: {WEIGHTS}"),
     ] = "papnet-steered",
     model: Annotated[
         str | None,
@@ -258,8 +277,10 @@ def predict(
     intrinsics: Annotated[
         str | None, typer.Option(help="FX,FY,CX,CY in pixels, for a depth image")
     ] = None,
-    depth_scale: Annotated[float, typer.Option(help="units of a depth value")] = 1.0,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "cpu",
+    depth_scale: Annotated[
+        float, typer.Option(help="units of a depth value: 0.001 for millimetres")
+    ] = 1.0,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     votes: Annotated[
         int, typer.Option(help="a dense capture is cut into up to so many clouds that vote")
     ] = 8,

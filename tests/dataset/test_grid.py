@@ -97,7 +97,7 @@ def test_a_grid_is_rendered_and_tested(tmp_path):
     run_eval(f"{MODELS}:Posed", data, results_folder=results, **SMALL)
     (checkpoint,) = results.glob("runs/*/branch-*/checkpoint.pt")
     tested = run_eval(
-        f"{MODELS}:Posed", checkpoint_file=checkpoint, grid=grown, results_folder=results
+        f"{MODELS}:Posed", checkpoint_file=checkpoint, test_grid=grown, results_folder=results
     )
     assert [r.grid for r in tested] == list(sets)
     assert all(r.conditions == {"grid": r.grid} for r in tested)
@@ -106,4 +106,4 @@ def test_a_grid_is_rendered_and_tested(tmp_path):
     }  # fmt: skip
     assert json.loads((tmp_path / "grid" / grid.NAME).read_text())["format"] == grid.FORMAT
     with pytest.raises(InputError, match="give --checkpoint"):
-        run_eval(f"{MODELS}:Posed", data, grid=grown, results_folder=results, **SMALL)
+        run_eval(f"{MODELS}:Posed", data, test_grid=grown, results_folder=results, **SMALL)
