@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich import box
+from rich.table import Column, Table
 
 from partialbench import arguments, registry
 from partialbench.benchmark import preflight
@@ -55,13 +56,20 @@ def models(as_json: Json = False) -> None:
         ]
         print(json.dumps(data, indent=1))
         return
-    table = Table("name", "title", "input", "parameters (40)", "claims", "weights", "reference")
+    # A name is typed again: it is never cut. In a file a line stays a line.
+    table = Table(
+        *(Column(name, no_wrap=name == "name" or not stdout.is_terminal)
+          for name in ("name", "title", "input", "parameters (40)", "claims", "weights")),
+        box=box.HEAVY_HEAD if stdout.is_terminal else None,
+    )  # fmt: skip
     for card in cards.values():
         count = card.parameters.get(40)
         claims = ", ".join(sorted(card.invariances)) or "–"
         table.add_row(card.name, card.title, card.representation,
-                      f"{count:,}" if count else "", claims, "yes" if card.name in packed else "",
-                      card.reference)  # fmt: skip
+                      f"{count:,}" if count else "", claims,
+                      "yes" if card.name in packed else "")  # fmt: skip
+    if not stdout.is_terminal:
+        stdout.width = 500
     stdout.print(table)
 
 
