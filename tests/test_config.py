@@ -70,6 +70,7 @@ def test_what_was_given_is_saved_and_read_back(tmp_path):
     file, again = tmp_path / "a.toml", tmp_path / "b.toml"
     given = ("--num-points", 5, "--try", 'x="1,2"', "--try", "é\\", "--colour", "blue", "--json")
     first = run("paint", "my wall", *given, "--rate", "1e-3", "--save-config", file)
+    assert file.read_text().startswith("# partialbench paint\n")
     saved = tomllib.loads(file.read_text())
     assert saved == {
         "folder": "my wall", "num-points": 5, "try": ['x="1,2"', "é\\"], "colour": "blue",

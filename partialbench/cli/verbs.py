@@ -151,13 +151,18 @@ def _keys(parameter: Any) -> list[str]:
 
 def as_toml(context: typer.Context) -> str:
     """The options that were given, by the command line or a file, as a file has them."""
-    lines = [f"# partialbench {context.command_path.partition(' ')[2]}"]
+    lines = [" ".join(["# partialbench", *_words(context)])]
     for parameter in _parameters(context):
         source = context.get_parameter_source(parameter.name)
         value = context.params.get(parameter.name)
         if source is not None and source.name in _GIVEN and value is not None:
             lines.append(f"{_keys(parameter)[0].replace('_', '-')} = {_toml(value)}")
     return "\n".join(lines) + "\n"
+
+
+def _words(context: Any) -> list[str]:
+    """Of the command as it is typed: "campaign run", whatever the program was started by."""
+    return [] if context.parent is None else [*_words(context.parent), context.info_name]
 
 
 def _toml(value: Any) -> str:

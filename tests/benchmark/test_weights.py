@@ -169,8 +169,10 @@ def test_what_is_no_release_s_weights_is_refused(run, data, other, done, tmp_pat
     monkeypatch.setattr(weights, "FOLDER", tmp_path)
     with pytest.raises(InputError, match="no weights of dgcnn come with this release"):
         pb.create_model("dgcnn", pretrained=True)
-    with pytest.raises(InputError, match="no checkpoint at dgcnn"):
+    with pytest.raises(InputError, match="no weights of dgcnn come with this release, and no file"):
         pb.load_model("dgcnn")
+    with pytest.raises(InputError, match=r"no checkpoint at dgcnn\.pt"):
+        pb.load_model("dgcnn.pt")
 
 
 def test_whatever_comes_with_this_release_loads_and_answers():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from partialbench import registry
 from partialbench.benchmark.records import weights
 from partialbench.benchmark.training.trunk import RunFolder, progress
 from partialbench.errors import InputError
@@ -31,6 +32,11 @@ def find_checkpoint(given: Path | str) -> Path:
     if path.is_file():
         return path
     if not path.is_dir():
+        if str(given) in registry.cards():
+            raise InputError(
+                f"no weights of {given} come with this release, and no file or folder is called "
+                f"so; give what eval wrote{weights.but_these(str(given))}"
+            )
         raise InputError(f"no checkpoint at {path}{weights.but_these(str(given))}")
     if (path / "checkpoint.pt").is_file():  # a milestone's own folder
         return path / "checkpoint.pt"
