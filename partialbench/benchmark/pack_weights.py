@@ -28,6 +28,7 @@ from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
 from partialbench.benchmark.training import checkpoint, packed
 from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.dataset import manifest as manifests
+from partialbench.dataset.descriptions import terms
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.shards import make_folder, write_atomically
 from partialbench.errors import InputError, PartialbenchError
@@ -72,6 +73,12 @@ def pack(
         )
     if not tests:
         raise InputError("nothing to test on: the first test is the folder that was trained on")
+    licence = terms(content["train_data"]["id"])
+    if out.resolve() == weights.FOLDER and licence != "MIT":
+        raise InputError(
+            f"{path} was trained on {content['train_data']['id']}, for which {licence} hold: such "
+            f"weights do not come with a release; give another --out to keep them for yourself"
+        )
     _require_its_own(content, Path(next(iter(tests.values()))))
     files, card = packed.packed_files(content, name)
     again = {**content, "state": packed.widened(packed.rounded(content))}
@@ -140,7 +147,7 @@ def _tested(classifier: Classifier, folder: Path, most_clouds: int | None) -> di
     objects = data.object_ids[rows]
     (interval,) = bootstrap_intervals(right[:, None], objects)
     return {
-        "data": asdict(describe_data(data, rows)),
+        "data": {**asdict(describe_data(data, rows)), "class_names": None},  # its digest tells
         "answered": len(rows),
         "left_out": int((~known).sum()),
         "objects": len(np.unique(objects)),

@@ -67,6 +67,7 @@ def test_packed_weights_are_the_trained_ones_in_sixteen_bits(run, made):
     (card,) = made.glob("*.json")
     about = json.loads(card.read_text())
     assert about["rounding"]["largest_difference"] <= MOST_DIFFERENCE
+    assert about["licence"] == "the terms of the shapes that it was made from"
     assert about["checkpoint_sha256"] == content["weights_sha256"]
 
 
@@ -158,6 +159,8 @@ def test_what_is_no_release_s_weights_is_refused(run, data, other, done, tmp_pat
         pack(run, {"others": other}, tmp_path)
     with pytest.raises(InputError, match="registered models"):
         pack(next((done[1] / "runs").glob("*seed0")), {"its own": data}, tmp_path)
+    with pytest.raises(InputError, match="trained on toy, for which the terms of the shapes"):
+        pack(run, {"its own": data})
     with pytest.raises(InputError, match="nothing to test on"):
         pack(run, {}, tmp_path)
     content = checkpoint.load(next(run.rglob("checkpoint.pt")))
@@ -188,6 +191,7 @@ def test_whatever_comes_with_this_release_loads_and_answers():
         card = classifier.card
         listed |= {f"{name}.json", card["file"]["name"], card["train_objects"]["name"]}
         assert card["identity"]["model"] == name
+        assert card["licence"] == "MIT"
         assert card["identity"]["train_data"]["id"] == "pm40-parametric", "licence-clean"
         assert card["rounding"]["largest_difference"] <= MOST_DIFFERENCE
         assert len(card["tests"]) >= 2, "on real shapes too"

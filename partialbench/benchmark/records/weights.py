@@ -66,8 +66,7 @@ class Test(TypedDict):
 
 
 class Rounding(TypedDict):
-    """What 16 bits change, on clouds of the test split: share of equal answers, and the largest
-    difference of a probability."""
+    """What 16 bits change: share of equal answers, and the largest difference of a probability."""
 
     clouds: Positive
     same_answers: Share

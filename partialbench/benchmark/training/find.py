@@ -21,13 +21,13 @@ def find_checkpoint(given: Path | str) -> Path:
     Args:
         given: a checkpoint or packed weights; a run's folder, for its furthest milestone; a folder
             of results with one run; or the name of a model whose weights are in this release. A
-            folder of that very name is ``./NAME``.
+            folder of that very name is ``./NAME``, and a ``Path`` is always a path.
 
     Raises:
         InputError: there is none, or more than one.
     """
-    if str(given) in weights.names():
-        return weights.file_of(str(given))
+    if isinstance(given, str) and given in weights.names():
+        return weights.file_of(given)
     path = Path(given)
     if path.is_file():
         return path

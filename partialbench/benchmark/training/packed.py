@@ -22,6 +22,7 @@ from torch import Tensor
 from partialbench.benchmark.records import weights
 from partialbench.benchmark.testing.duplicates import KEY_DIGITS
 from partialbench.benchmark.training import checkpoint, checkpoint_content
+from partialbench.dataset.descriptions import terms
 from partialbench.errors import InputError
 
 PACKED = "weights rounded to 16 bits"
@@ -111,7 +112,7 @@ def packed_files(content: Mapping[str, Any], name: str) -> tuple[dict[str, bytes
     return files, {
         "format": weights.FORMAT,
         "format_version": weights.VERSION,
-        "licence": "MIT",
+        "licence": terms(content["train_data"]["id"]),
         "file": first,
         "tensors_sha256": checkpoint.weights_digest(state),
         "checkpoint_sha256": content["weights_sha256"],
