@@ -17,6 +17,7 @@ HERE = Path(__file__).parent
 BENCHMARKS: dict[str, list[str]] = {
     "render": ["benchmarks/render.py"],
     "loader": ["benchmarks/loader.py"],
+    "export": ["benchmarks/export.py"],
     "hpr": ["benchmarks/hpr.py", "speed"],
     "models": ["benchmarks/models.py"],
     "papnet": ["-m", "benchmarks.released_papnet"],

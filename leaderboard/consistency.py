@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +24,10 @@ from partialbench.benchmark.testing import damage, given_pose, metrics
 from partialbench.benchmark.variant import describe_changes
 from partialbench.dataset import grid
 from partialbench.errors import InputError
+from partialbench.extras import MissingExtraError
 from partialbench.registry import ModelCard, Recipe
+
+log = logging.getLogger(__name__)
 
 PRINTED = ("title", "paper", "paper_scores", "representation", "invariances", "parameters")
 """What of a card the board sets beside others' figures; its prose may have been mended since."""
@@ -191,12 +195,21 @@ _counts: dict[str, int | None] = {}
 
 
 def _parameters(name: str, num_classes: int, options: dict[str, Any]) -> int | None:
-    """Counted on a fresh model, once for each; None where its options are no longer known."""
+    """Of the card, which a test holds against the model; with options, counted on a fresh one.
+
+    None where the options are no longer known, or nothing can be counted for want of torch.
+    """
+    known = registry.card(name).parameters
+    if not options and num_classes in known:
+        return known[num_classes]
     key = json.dumps([name, num_classes, options], sort_keys=True)
     if key not in _counts:
         try:
             _counts[key] = models.num_parameters(models.create(name, num_classes, options))
         except InputError:
+            _counts[key] = None
+        except MissingExtraError as error:
+            log.warning("the parameters of %s with %s are not counted: %s", name, options, error)
             _counts[key] = None
     return _counts[key]
 

@@ -16,7 +16,7 @@ from partialbench.errors import PartialbenchError
 EXTRAS: dict[str, tuple[str, ...]] = {
     "render": ("mitsuba", "drjit", "trimesh", "manifold3d", "mapbox_earcut", "lxml", "DracoPy"),
     "scan": ("open3d",),
-    "train": ("torch", "lightning", "e3nn", "roma"),
+    "train": ("torch", "lightning", "e3nn", "roma", "safetensors"),
     "board": ("matplotlib", "jinja2", "pandas"),
     "export": ("pyarrow", "PIL"),
     "cluster": ("distributed", "dask"),

@@ -33,7 +33,7 @@ def quickstart(
         A few lines that say where everything is and what to do next, and the leaderboard's page.
     """
     start = time.perf_counter()
-    data, results, board = out / "pm40-parametric", out / "results", out / "leaderboard"
+    data, results, board = out / "pm40-parametric", out / "results", out / "board"
 
     def step(text: str) -> None:
         console.print(f"[bold]{text}[/]")

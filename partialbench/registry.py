@@ -246,16 +246,24 @@ def card(name: str) -> ModelCard:
     return table[name]
 
 
-def list_models(pattern: str = "*") -> list[str]:
+def list_models(pattern: str = "*", pretrained: bool = False) -> list[str]:
     """The names of the registered models, in the order of the table. Loads no torch.
 
     Args:
         pattern: as a shell has it: "pointnet*".
+        pretrained: only those whose weights come with this release.
 
     >>> list_models("papnet*")
     ['papnet', 'papnet-steered', 'papnet-steered-nopose']
     """
-    return [name for name in cards() if fnmatch.fnmatchcase(name, pattern)]
+    from partialbench.benchmark.records import weights  # pydantic, not by every --help
+
+    packed = weights.names()
+    return [
+        name
+        for name in cards()
+        if fnmatch.fnmatchcase(name, pattern) and (name in packed or not pretrained)
+    ]
 
 
 def create(name: str, num_classes: int, **options: Any) -> nn.Module:

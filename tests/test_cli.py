@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from partialbench import registry
 from partialbench.arguments import parts
 
 RENDER = ("render", "pm40", "--views", "2", "--points", "64", "--resolution", "32")
@@ -152,6 +153,12 @@ def test_help_has_examples_and_every_verb():
     assert all(verb in partialbench("--help", check=0).stdout for verb in verbs)
     for verb in ("render", "eval", "predict"):
         assert "Example" in partialbench(verb, "--help", check=0).stdout
+
+
+def test_models_lists_a_line_for_each_and_cuts_no_name():
+    lines = partialbench("models", check=0).stdout.splitlines()[1:]
+    assert [line.split()[0] for line in lines] == list(registry.cards())
+    assert "3,480,049" in lines[0]
 
 
 def test_models_lists_the_table_as_data():

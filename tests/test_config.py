@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 import tomllib
+import typing
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -68,6 +70,7 @@ def test_what_was_given_is_saved_and_read_back(tmp_path):
     file, again = tmp_path / "a.toml", tmp_path / "b.toml"
     given = ("--num-points", 5, "--try", 'x="1,2"', "--try", "é\\", "--colour", "blue", "--json")
     first = run("paint", "my wall", *given, "--rate", "1e-3", "--save-config", file)
+    assert file.read_text().startswith("# partialbench paint\n")
     saved = tomllib.loads(file.read_text())
     assert saved == {
         "folder": "my wall", "num-points": 5, "try": ['x="1,2"', "é\\"], "colour": "blue",
@@ -96,6 +99,25 @@ def test_a_wrong_file_is_wrong_usage(tmp_path, content, message):
     assert "cannot be read" in run("paint", "wall", "--config", tmp_path / "absent.toml", code=2)
 
 
+SEVERAL = {
+    "model",  # needed, or several, or only for weights of one's own
+    "data",  # needed, or optional, or several
+    "clouds", "split",  # one, or several
+    "counts",  # of a data set as large as the real one, or of a folder to look into
+    "checkpoint",  # predict has one of its own
+    "workers",  # of a campaign as many as there are devices
+    "data_set",  # needed, or optional
+}  # fmt: skip
+"""Needed by one command and not by another, or given several times to one and once to another."""
+
+
+def functions(group):
+    for one in group.registered_commands:
+        yield one.callback
+    for inner in group.registered_groups:
+        yield from functions(inner.typer_instance)
+
+
 def walk(command, name=""):
     inner = getattr(command, "commands", None)
     if inner is None:
@@ -111,6 +133,32 @@ def test_every_command_takes_one():
     for name, command in found.items():
         options = {option for parameter in command.params for option in parameter.opts}
         assert {"--config", "--save-config"} <= options, name
+
+
+def test_an_option_is_of_one_kind_with_one_default_in_every_command():
+    seen: dict[str, dict[str, set[str]]] = {}
+    for function in functions(app):
+        for name, parameter in inspect.signature(function).parameters.items():
+            if name not in ("context", "out"):  # each writes its own
+                kind = str(typing.get_args(parameter.annotation)[:1])
+                default = parameter.default
+                said = kind if default is parameter.empty else f"{kind} = {default!r}"
+                seen.setdefault(name, {}).setdefault(said, set()).add(function.__name__)
+    several = {name for name, kinds in seen.items() if len(kinds) > 1}
+    assert several == SEVERAL, {name: seen[name] for name in several ^ SEVERAL}
+
+
+def test_no_help_leaves_a_default_unsaid_in_brackets_of_its_own():
+    for name, command in walk(typer.main.get_command(app)):
+        for parameter in command.params:
+            assert not (parameter.help or "").endswith("]"), f"{name} {parameter.name}"
+            assert "default" not in (parameter.help or ""), f"{name} {parameter.name}"
+
+
+def test_long_helps_are_grouped():
+    for name, command in walk(typer.main.get_command(app)):
+        plain = [p for p in command.params if not getattr(p, "rich_help_panel", None)]
+        assert len(plain) <= 12, f"{name}: {len(plain)} options under one heading"
 
 
 @pytest.mark.parametrize(

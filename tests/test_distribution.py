@@ -19,6 +19,7 @@ import partialbench
 from partialbench import extras
 
 ROOT = Path(__file__).resolve().parents[1]
+RECORDS, WEIGHTS = ROOT / "leaderboard" / "records", ROOT / "partialbench" / "weights"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 IMPORTED_AS = {
     "mapbox-earcut": "mapbox_earcut", "dracopy": "DracoPy", "pillow": "PIL", "open3d-cpu": "open3d",
@@ -73,6 +74,8 @@ def test_wheel_and_source_archive_install_and_run(tmp_path):
     held = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     packages = {"partialbench", "renderers", "baselines", "papnet", "leaderboard"}
     assert {name for name in held if not name.endswith(".dist-info")} == packages
+    weights = [f"partialbench/weights/{path.name}" for path in WEIGHTS.iterdir() if path.is_file()]
+    assert set(weights) <= set(zipfile.ZipFile(wheel).namelist())
     with tarfile.open(archive) as tar:
         inside = {name.split("/")[1] for name in tar.getnames() if "/" in name}
     assert {"tests", "docs", "LICENSE", "README.md", "constraints.txt"} <= inside
@@ -102,3 +105,9 @@ def test_wheel_and_source_archive_install_and_run(tmp_path):
         refused = run("eval", "--model", "pointnet", "--data", "data")
         assert refused.returncode == 1
         assert "pip install 'partialbench[train]'" in refused.stderr
+        assert "partialbench[board]" in run("leaderboard", "--results", RECORDS, "--check").stderr
+    # Whoever checks a submitted row needs no torch.
+    subprocess.run([*pip, "-c", str(ROOT / "constraints.txt"), f"{archive}[board]"], check=True)
+    checked = run("leaderboard", "--results", RECORDS, "--check", "--out", "board")
+    assert checked.returncode == 0, checked.stderr
+    assert (tmp_path / "board" / "leaderboard.html").is_file()

@@ -9,10 +9,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 import typer
+from PIL import Image
 
+from partialbench.benchmark.records import weights
 from partialbench.cli import app
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,8 +25,13 @@ PAGES = [
     ROOT / "README.md",
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if page.stem not in DATED),
 ]
-HOW_TO = ("see_a_sample", "own_meshes", "dataloader", "train", "open_the_board", "classify")
-"""Pages with Python, in the order in which one makes what the next one reads."""
+WITH_PYTHON = [
+    ROOT / "docs" / f"{page}.md"
+    for page in ("index", "how_to/see_a_sample", "how_to/own_meshes", "how_to/dataloader",
+                 "how_to/train", "how_to/open_the_board", "how_to/classify", "weights",
+                 "data_format")
+] + [ROOT / "README.md"]  # fmt: skip
+"""In the order in which one makes what the next one reads."""
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -93,6 +101,12 @@ def test_the_reference_of_commands_is_the_programs(tmp_path):
     )
 
 
+def test_the_page_of_the_weights_has_what_their_cards_say():
+    """``pack_weights --page docs/weights.md`` writes it."""
+    cards = {name: weights.read_card(weights.file_of(name)) for name in weights.names()}
+    assert weights.block(cards) in (ROOT / "docs" / "weights.md").read_text()
+
+
 def test_every_page_is_in_the_navigation():
     yaml = pytest.importorskip("yaml")
     site = yaml.safe_load((ROOT / "mkdocs.yml").read_text())
@@ -113,6 +127,26 @@ def test_links_of_the_site_stay_on_it():
                 assert place.is_relative_to(docs), f"{page.name}: {target}"
 
 
+def test_every_page_with_python_is_run():
+    """But that whose code is a file that is tested: examples/my_model.py."""
+    pages = {page for page in PAGES if blocks(page, "python") and page.stem != "own_model"}
+    assert pages <= set(WITH_PYTHON)
+
+
+@pytest.mark.slow
+def test_the_picture_of_the_readme_is_what_its_script_draws(tmp_path):
+    subprocess.run(
+        [sys.executable, str(ROOT / "examples" / "view_picture.py"), "view.png"],
+        check=True, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    shown, drawn = (
+        np.asarray(Image.open(path).convert("L").resize((144, 63)), float)
+        for path in (ROOT / "docs" / "images" / "view.png", tmp_path / "view.png")
+    )
+    assert np.abs(shown - drawn).mean() < 2  # of 255: fonts differ between machines
+    assert np.abs(shown - 251).mean() > 5, "it shows something"
+
+
 @pytest.mark.slow
 def test_every_block_of_python_runs(tmp_path, monkeypatch):
     """In one folder, one page after the other; each page by itself in an interpreter of its own."""
@@ -128,13 +162,14 @@ def test_every_block_of_python_runs(tmp_path, monkeypatch):
                 solid.apply_scale((1, 1, 1 + number / 10)).export(path)
     render_dataset(
         tmp_path / "meshes", tmp_path / "data" / "pm40", views=4, points=1024,
-        occluder_options={"resolution": 48},
+        occluder_options={"resolution": 48, "keep_depth": True}, normals=True,
     )  # fmt: skip
-    for page in HOW_TO:
-        code = "\n".join(blocks(ROOT / "docs" / "how_to" / f"{page}.md", "python"))
-        assert code
+    for page in WITH_PYTHON:
+        code = "\n".join(blocks(page, "python"))
+        assert code or page.name == "README.md"
         done = subprocess.run(
             [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True,
-            env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+            env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1",
+                 "HF_HOME": str(tmp_path / "hub")},
         )  # fmt: skip
-        assert done.returncode == 0, f"{page}: {done.stderr[-2000:]}"
+        assert done.returncode == 0, f"{page.name}: {done.stderr[-2000:]}"

@@ -1,8 +1,8 @@
 """Trained models over a grid: what rotation, a single view, a sensor and occluders cost each.
 
-Made from the records of ``partialbench eval --checkpoint … --grid``: the same weights and objects
-in every cell. Cells are paired cloud by cloud, by object and view; of a row's seeds those count
-that were tested in every one of its cells.
+Made from the records of ``partialbench eval --checkpoint … --test-grid``: the same weights and
+objects in every cell. Cells are paired cloud by cloud, by object and view; of a row's seeds those
+count that were tested in every one of its cells.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ def evaluate(
             which is called as factory(num_classes) and must be in a file of its own, so that a
             record can say what was tested; or a ``Classifier``, whose weights are tested as they
             are.
-        data: folder of ``partialbench render``; None where ``test_data`` or ``grid`` has what is
-            to be tested on.
+        data: folder of ``partialbench render``; None where ``test_data`` or ``test_grid`` has what
+            is to be tested on.
         results: where records go.
         options: those of ``run.run_eval``: ``preset``, ``clouds``, ``seeds``, ``device``,
             ``test_data``, ``recipe``, …

@@ -1,11 +1,12 @@
-"""Making a model by name, and meeting one that returns bare logits."""
+"""Making a model by name, and meeting one that returns bare logits.
+
+torch is loaded by what makes or meets a model: its card and its options are read without.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
-
-from torch import Tensor, nn
+from typing import TYPE_CHECKING, Any
 
 from partialbench import registry, user_code
 from partialbench.benchmark.prediction import Prediction
@@ -13,6 +14,9 @@ from partialbench.errors import InputError
 from partialbench.geometry.bins import NUM_BINS
 from partialbench.options import without_defaults
 from partialbench.registry import ModelCard
+
+if TYPE_CHECKING:
+    from torch import nn
 
 
 def create(name: str, num_classes: int, options: Mapping[str, Any] | None = None) -> nn.Module:
@@ -22,6 +26,8 @@ def create(name: str, num_classes: int, options: Mapping[str, Any] | None = None
         InputError: no such model, or what the factory returned is no ``torch.nn.Module``.
     """
     model = registry.create(name, num_classes, **(options or {}))
+    from torch import nn
+
     if not isinstance(model, nn.Module):
         raise InputError(
             f"{name} returned a {type(model).__name__}; expected a torch.nn.Module: the factory is "
@@ -60,6 +66,8 @@ def as_prediction(output: Any, num_clouds: int, num_classes: int) -> Prediction:
     Raises:
         InputError: anything else, with what was got and what was expected.
     """
+    from torch import Tensor
+
     prediction = Prediction(output) if isinstance(output, Tensor) else output
     if not isinstance(prediction, Prediction):
         raise InputError(

@@ -16,9 +16,10 @@ from partialbench.benchmark import inputs
 from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
 from partialbench.benchmark.models import as_prediction
+from partialbench.benchmark.records import weights as packaged
 from partialbench.benchmark.testing.isolation import keyed_draws, unchanged
-from partialbench.benchmark.training import checkpoint
-from partialbench.benchmark.training.trunk import RunFolder, progress
+from partialbench.benchmark.training import checkpoint, packed
+from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
@@ -91,11 +92,14 @@ def _best(shares: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.argsort(-shares, kind="stable")[:5]
 
 
-def load_model(weights: Path | str, device: str = "auto", model: str | None = None) -> Classifier:
+def load_model(
+    weights: Path | str = packaged.DEFAULT, device: str = "auto", model: str | None = None
+) -> Classifier:
     """A trained model, to be asked about clouds and files: see ``Classifier``.
 
     ::
 
+        classifier = partialbench.load_model()            # comes with this release
         classifier = partialbench.load_model("results")   # a folder of eval's with one run
         answer = classifier.predict(points)               # (N,3), camera frame
         answer.class_name, answer.confidence, answer.rotation
@@ -124,12 +128,14 @@ class Classifier:
 
     Args:
         weights: a checkpoint written by ``partialbench eval``, its run's folder, or a folder of
-            results with one run; nothing else is needed.
+            results with one run; or the name of a model whose weights come with this release
+            (``list_models(pretrained=True)``). Nothing else is needed.
         device: "cpu", "cuda", "cuda:1", or "auto".
         model: "module:factory" of a model of one's own: named here, never by the checkpoint.
 
     Attributes:
-        path: of the checkpoint. content: what it holds.
+        path: of the weights. content: what they hold, as a checkpoint.
+        card: of weights that come with this release, what they were trained and tested on.
         name: of the model as it was found: registered, or your "module:factory".
         model: the ``nn.Module``, in evaluation mode.
 
@@ -140,12 +146,13 @@ class Classifier:
     def __init__(self, weights: Path | str, device: str = "cpu", model: str | None = None) -> None:
         kind, index = find_device(device)
         self.device = torch.device(kind if index is None else f"{kind}:{index}")
-        path = find_checkpoint(Path(weights))
+        path = find_checkpoint(weights)
         # What the user named: a checkpoint never names code to import.
         model = None if model is None else user_code.named(model)
         self.path = path
-        self.content = checkpoint.load(path)
+        self.content = packed.load(path)
         checkpoint.require_finished(self.content, path, "classify")
+        self.card = packaged.read_card(path) if path.suffix == packaged.SUFFIX else None
         self.name = checkpoint.model_of(self.content, model)
         self.model = checkpoint.build_model(self.content, model).to(self.device)
         if inputs.needs_normals(self.model):
@@ -155,6 +162,19 @@ class Classifier:
             )
         if changed := checkpoint.changed_code(self.content, model):
             log.warning("%s: %s", path, changed)
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Of the classes it tells apart, by label."""
+        return tuple(self.content["class_names"])
+
+    @property
+    def about(self) -> str:
+        """What it was trained on, and, where that was measured, how often it is right."""
+        if self.card is not None:
+            return packaged.in_a_sentence(self.card)
+        data, seen = self.content["train_data"], self.content["summary"]["clouds_seen"]
+        return f"{self.name}, trained on {seen:,} clouds of {data['id']} ({data['setting']} views)"
 
     def __call__(
         self,
@@ -211,7 +231,7 @@ class Classifier:
         """What the model says of points (n,3) that ``captures.shaped`` let pass."""
         if votes < 1:
             raise InputError(f"votes must be at least 1, got {votes}")
-        count, class_names = self.content["num_points"], tuple(self.content["class_names"])
+        count, class_names = self.content["num_points"], self.class_names
         clouds = draw(given, count, min(votes, max(1, len(given) // count)))
         try:
             # What a model draws or remembers is of no other cloud: the same cloud, the same answer.
@@ -236,37 +256,6 @@ class Classifier:
             len(given),
             clouds.shape[0] * clouds.shape[1],
         )
-
-
-BRANCHES = "branch-*/checkpoint.pt"
-
-
-def _furthest(run: Path) -> Path:
-    """Of a training's finished milestones the one with the most clouds."""
-    done = progress(run).milestones_done
-    if not done:
-        raise InputError(f"{run} has no finished milestone yet; run the same eval again")
-    return RunFolder(run).branch(max(done))
-
-
-def find_checkpoint(path: Path) -> Path:
-    """The checkpoint that a file, a run's folder or a folder of results with one run means."""
-    if not path.is_dir():
-        return path
-    if (path / "checkpoint.pt").is_file():  # a milestone's own folder
-        return path / "checkpoint.pt"
-    found = [
-        _furthest(run)
-        for pattern in (".", "*", "runs/*")
-        for run in sorted(path.glob(pattern) if pattern != "." else [path])
-        if any(run.glob(BRANCHES))
-    ]
-    if not found:
-        raise InputError(f"no checkpoint in {path}; expected one that partialbench eval wrote")
-    if len(found) > 1:
-        named = ", ".join(str(one.parents[1].relative_to(path)) for one in found[:6])
-        raise InputError(f"{path} has {len(found)} runs, give the folder of one: {named}")
-    return found[0]
 
 
 def draw(points: NDArray, count: int, clouds: int = 1) -> NDArray[np.float32]:

@@ -1,10 +1,11 @@
-"""What a model takes in training and returns always."""
+"""What a model takes in training and returns always. Checking records needs no torch."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from torch import Tensor
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class Prediction(NamedTuple):

@@ -35,9 +35,10 @@ def check(
     check_model(model)
     check_device(device)
     check_precision(precision)
-    for path in checkpoints:
-        if not Path(path).is_file():
-            raise InputError(f"no checkpoint at {path}")
+    for weights in checkpoints:
+        from partialbench.benchmark.training.find import find_checkpoint  # pydantic, not by --help
+
+        find_checkpoint(weights)
     if results is not None:
         check_output(Path(results), "--results")
     for folder in data:

@@ -8,21 +8,26 @@ from typing import Any
 from torch import nn
 
 from partialbench.benchmark import models
-from partialbench.benchmark.predict import find_checkpoint
+from partialbench.benchmark.records import weights
 from partialbench.benchmark.training import finetune
 from partialbench.errors import InputError
 
 
 def create_model(
-    name: str, num_classes: int, pretrained: bool | Path | str = False, **options: Any
+    name: str,
+    num_classes: int | None = None,
+    pretrained: bool | Path | str = False,
+    **options: Any,
 ) -> nn.Module:
     """A model to train or to look at.
 
     Args:
         name: a registered name (``list_models``), or your "module:factory".
-        num_classes: K ≥ 2.
-        pretrained: the checkpoint, or the run's folder, of a finished training of this model. Its
-            last layer is taken if it has as many classes, and stays fresh if not.
+        num_classes: K ≥ 2; as many as the weights have where it is not given.
+        pretrained: True for the weights that come with this release
+            (``list_models(pretrained=True)``), or the checkpoint, or the run's folder, of a
+            finished training of this model. Its last layer is taken if it has as many classes, and
+            stays fresh if not.
         options: for the model's factory (``k=5``).
 
     Returns:
@@ -37,15 +42,14 @@ def create_model(
     >>> model(torch.randn(2, 128, 3)).class_logits.shape
     torch.Size([2, 5])
     """
-    model = models.create(name, num_classes, options)
     if pretrained is False:
-        return model
-    if pretrained is True:
-        raise InputError(
-            f"no weights of {name} come with this release; give pretrained the checkpoint of a "
-            f"training: pretrained='results/runs/…/checkpoint.pt'"
-        )
-    start = finetune.load(find_checkpoint(Path(pretrained)), name)
+        if num_classes is None:
+            raise InputError(f"how many classes {name} is to tell apart is missing: num_classes=40")
+        return models.create(name, num_classes, options)
+    start = finetune.load(weights.file_of(name) if pretrained is True else pretrained, name)
+    if num_classes is None:
+        num_classes = len(start.class_names)
+    model = models.create(name, num_classes, options)
     # As many classes count as the same: a user who asked for them by number knows which they are.
     same = num_classes == len(start.class_names)
     names = start.class_names if same else [str(label) for label in range(num_classes)]

@@ -25,7 +25,8 @@ from partialbench.benchmark.protocol.split import balanced_subset, split_by_obje
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import damage, given_pose
 from partialbench.benchmark.testing import run as testing
-from partialbench.benchmark.training import checkpoint, dry_run, finetune
+from partialbench.benchmark.training import checkpoint, dry_run, finetune, packed
+from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.benchmark.training.follow import check_log
 from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.training.memory import keep_freed_memory
@@ -62,7 +63,7 @@ def run_eval(
     test_points: Sequence[int] = (),
     test_poses: Sequence[str | float] = (),
     test_damages: Sequence[str] = (),
-    grid: Path | str | Sequence[Path | str] | None = None,
+    test_grid: Path | str | Sequence[Path | str] | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     protocol: Mapping[str, Any] | None = None,
@@ -78,8 +79,8 @@ def run_eval(
         data: folder of ``partialbench render``: trained on its train split, tested on its test
             split. With a checkpoint, only the test split is used.
         test_data: another such folder, or several; tested on their test splits as well.
-        checkpoint_file: test these weights instead of training, under the protocol they were
-            trained by: what would change a training is an error then.
+        checkpoint_file: test these weights (see ``find_checkpoint``) instead of training, under the
+            protocol they were trained by: what would change a training is an error then.
         preset: "smoke", "board" or "paper"; ``protocol`` and ``protocol_overrides`` change its
             fields (``num_points=512``), which makes it another protocol.
         clouds: the milestones to train to, as ``milestones.parse`` takes them: [25_000, "100k"].
@@ -89,8 +90,8 @@ def run_eval(
         should_stop: asked after every training step; where it says so the state is saved and
             ``TimeLimitError`` raised.
         seeds: how many, counted from ``first_seed``.
-        start_from: checkpoint of a finished training of this model, whose weights each training
-            begins from (fine-tuning); makes another row.
+        start_from: weights of a finished training of this model (see ``find_checkpoint``), which
+            each training begins from (fine-tuning); makes another row.
         device: "auto", "cpu", "cuda", "cuda:1". Started by torchrun, it uses every process.
         log_to: where a training's log goes while it grows: "csv", at the end only, or "tensorboard"
             too.
@@ -101,8 +102,8 @@ def run_eval(
             one, "15" with noise, "class:0" under each class's own symmetry, "random". Only for a
             model that takes one.
         test_damages: test on damaged clouds too, see ``damage.parse``: "jitter:3", "all".
-        grid: test on every cell of a folder of ``render --grid`` too, or on those whose own folders
-            are given.
+        test_grid: test on every cell of a folder of ``render --grid`` too, or on those whose own
+            folders are given.
         recipe: fields of the model's recipe to change (``{"lr": 0.01}``); makes another row.
         options: for the model's factory; makes another row. With a checkpoint, those that its
             weights do not depend on, such as PAPNet's ``k``.
@@ -125,7 +126,7 @@ def run_eval(
     fabric = make_fabric(device, precision)
     poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
     damages = damage.parse(test_damages)
-    of_grid = [grid] if isinstance(grid, Path | str) else grid or ()
+    of_grid = [test_grid] if isinstance(test_grid, Path | str) else test_grid or ()
     cells = [folder for path in of_grid for folder in grids.folders(Path(path))]
     if checkpoint_file is not None:
         if start_from is not None:
@@ -144,7 +145,7 @@ def run_eval(
                 f"effect; leave it out, or train without --checkpoint"
             )
         return _test_checkpoint(
-            model, Path(checkpoint_file), folders, preset, test_points, poses, damages,
+            model, find_checkpoint(checkpoint_file), folders, preset, test_points, poses, damages,
             options or {}, fabric, results_folder, cells,
         )  # fmt: skip
     if data is None:
@@ -281,8 +282,8 @@ def _test_checkpoint(
     cells: Sequence[Path],
 ) -> list[Result]:
     if not folders and not cells:
-        raise InputError("nothing to test on: give --data, --test-data or --grid")
-    content = checkpoint.load(path)
+        raise InputError("nothing to test on: give --data, --test-data or --test-grid")
+    content = packed.load(path)
     if content["model"] != model_name:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model_name!r}")
     checkpoint.require_finished(content, path, "be tested")

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich import box
+from rich.table import Column, Table
 
 from partialbench import arguments, registry
 from partialbench.benchmark import preflight
@@ -22,7 +23,13 @@ if TYPE_CHECKING:
 
 commands = Verbs("Models")
 
-HOW_MUCH = "a minute; the table's, one recipe for all; the paper's scale, published recipes"
+HOW_MUCH = (
+    "smoke: a minute; board: the table's, one recipe for all; paper: its scale, published recipes"
+)
+WEIGHTS = (
+    "what eval wrote (the file, its run's folder, a folder of results with one run), or the name "
+    "of a model that comes with weights"
+)
 CLOUDS = "clouds to train to: 100k, or several: 25k,100k (repeatable)"
 
 
@@ -39,24 +46,40 @@ class Log(StrEnum):
 
 @commands.command()
 def models(as_json: Json = False) -> None:
-    """List the models that `eval --model` knows."""
-    cards = registry.cards()
-    if as_json:
-        from partialbench.registry import card_data
+    """List the models that `eval --model` knows, and those that come with weights."""
+    from partialbench.benchmark.records import weights
 
-        print(json.dumps([card_data(card) for card in cards.values()], indent=1))
+    cards, packed = registry.cards(), weights.names()
+    if as_json:
+        data = [
+            {**registry.card_data(one), "weights": one.name in packed} for one in cards.values()
+        ]
+        print(json.dumps(data, indent=1))
         return
-    table = Table("name", "title", "input", "parameters (40)", "claims", "reference")
+    # A name is typed again: it is never cut. In a file a line stays a line.
+    table = Table(
+        *(Column(name, no_wrap=name == "name" or not stdout.is_terminal)
+          for name in ("name", "title", "input", "parameters (40)", "claims", "weights")),
+        box=box.HEAVY_HEAD if stdout.is_terminal else None,
+    )  # fmt: skip
     for card in cards.values():
         count = card.parameters.get(40)
         claims = ", ".join(sorted(card.invariances)) or "–"
         table.add_row(card.name, card.title, card.representation,
-                      f"{count:,}" if count else "", claims, card.reference)  # fmt: skip
+                      f"{count:,}" if count else "", claims,
+                      "yes" if card.name in packed else "")  # fmt: skip
+    if not stdout.is_terminal:
+        stdout.width = 500
     stdout.print(table)
 
 
 @commands.command(
     name="eval",
+    panels={
+        "Training": "preset clouds seeds first_seed recipe option protocol precision log "
+        "checkpoint_every restart",
+        "Testing": "test_data test_points test_pose test_damage test_grid",
+    },
     epilog="Examples: `partialbench eval --model pointnet --data data/pm40` · "
     "`partialbench eval --model pointnet --data data/pm40 --clouds 400k` (goes on from the 100k) · "
     "`partialbench eval --model my_model:make --data data/pm40 --preset smoke` · "
@@ -68,18 +91,16 @@ def evaluate(
         str, typer.Option(help="a name from 'partialbench models', or your module:factory")
     ],
     data: Annotated[Path | None, typer.Option(help="data folder to train and test on")] = None,
-    test_data: Annotated[
-        Path | None, typer.Option(help="another data folder to test on as well")
-    ] = None,
     checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="test these weights instead of training, by the protocol they have"),
+        str | None, typer.Option(help=f"test weights instead of training: {WEIGHTS}")
     ] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="fine-tune: begin from the weights of this checkpoint")
+        str | None, typer.Option(help="fine-tune: begin from weights, named as for --checkpoint")
     ] = None,
     preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.board,
-    clouds: Annotated[list[str] | None, typer.Option(help=CLOUDS)] = None,
+    clouds: Annotated[
+        list[str] | None, typer.Option(help=CLOUDS, show_default="those of the preset")
+    ] = None,
     seeds: Annotated[int, typer.Option(help="how many trainings, one record each")] = 1,
     first_seed: Annotated[int, typer.Option(help="count seeds from here")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
@@ -93,10 +114,14 @@ def evaluate(
         Log, typer.Option(help="csv, written at the end; or event files for TensorBoard too")
     ] = Log.csv,
     checkpoint_every: Annotated[
-        int | None, typer.Option(help="save every so many steps too, not only every few minutes")
+        int | None,
+        typer.Option(help="save every so many steps too", show_default="every few minutes alone"),
     ] = None,
     protocol: Annotated[
-        list[str] | None, typer.Option(help="change a protocol field: num_points=512")
+        list[str] | None, typer.Option(help="change a protocol field: num_points=512 (repeatable)")
+    ] = None,
+    test_data: Annotated[
+        Path | None, typer.Option(help="another data folder to test on as well")
     ] = None,
     test_points: Annotated[
         list[int] | None, typer.Option(help="test on clouds of so many points too (repeatable)")
@@ -109,7 +134,7 @@ def evaluate(
             "random (repeatable)"
         ),
     ] = None,
-    grid: Annotated[
+    test_grid: Annotated[
         Path | None,
         typer.Option(help="test on every cell of a folder of render --grid too, or on one cell"),
     ] = None,
@@ -120,10 +145,14 @@ def evaluate(
             "all (repeatable; docs/damage.md has the names)"
         ),
     ] = None,
-    recipe: Annotated[list[str] | None, typer.Option(help="change the recipe: lr=0.01")] = None,
+    recipe: Annotated[
+        list[str] | None, typer.Option(help="change the recipe: lr=0.01 (repeatable)")
+    ] = None,
     option: Annotated[
         list[str] | None,
-        typer.Option(help="for the model: k=5; with --checkpoint too, if its weights fit"),
+        typer.Option(
+            help="for the model: k=5 (repeatable); with --checkpoint too, if its weights fit"
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -145,7 +174,7 @@ def evaluate(
             preset=preset.value, seeds=seeds, device=device, clouds=_clouds(clouds),
             restart=restart, first_seed=first_seed, start_from=start_from, precision=precision,
             log_to=log.value, checkpoint_every=checkpoint_every, test_points=test_points or (),
-            test_poses=test_pose or (), test_damages=test_damage or (), grid=grid,
+            test_poses=test_pose or (), test_damages=test_damage or (), test_grid=test_grid,
             recipe=arguments.pairs(recipe),
             options=arguments.texts(option), protocol=arguments.pairs(protocol),
         )  # fmt: skip
@@ -173,8 +202,9 @@ def _clouds(given: list[str] | None) -> tuple[int, ...] | None:
 
 
 @commands.command(
+    panels={"Each trial": "preset clouds start_from seed protocol option precision"},
     epilog="Example: `partialbench tune --model dgcnn --data data/pm40 --try lr=0.001 "
-    "--try lr=0.002 --try lr=0.004 --clouds 50k`"
+    "--try lr=0.002 --try lr=0.004 --clouds 50k`",
 )
 def tune(
     model: Annotated[
@@ -186,18 +216,22 @@ def tune(
         typer.Option("--try", help="a recipe: lr=0.01, or lr=0.01,batch_size=16 (repeatable)"),
     ],
     preset: Annotated[Preset, typer.Option(help=HOW_MUCH)] = Preset.board,
-    clouds: Annotated[str | None, typer.Option(help="clouds of a trial: 50k")] = None,
+    clouds: Annotated[
+        str | None, typer.Option(help="clouds of a trial: 50k", show_default="those of the preset")
+    ] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="each trial begins from the weights of this checkpoint")
+        str | None, typer.Option(help=f"each trial begins from weights: {WEIGHTS}")
     ] = None,
     seed: Annotated[int, typer.Option(help="of every trial")] = 0,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     precision: Annotated[str, typer.Option(help="of training: 32-true, bf16-mixed")] = "32-true",
     results: Annotated[Path, typer.Option(help="where tuning.csv goes")] = Path("results"),
     protocol: Annotated[
-        list[str] | None, typer.Option(help="change a protocol field: num_points=512")
+        list[str] | None, typer.Option(help="change a protocol field: num_points=512 (repeatable)")
     ] = None,
-    option: Annotated[list[str] | None, typer.Option(help="for the model: k=5")] = None,
+    option: Annotated[
+        list[str] | None, typer.Option(help="for the model: k=5 (repeatable)")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compare recipes on the validation split; run again, it continues."""
@@ -228,10 +262,9 @@ def tune(
 
 
 @commands.command(
-    epilog="Examples: `partialbench predict --checkpoint results/runs/… mug.ply` · "
-    "`partialbench predict --checkpoint results captures/ --json` · "
-    "`partialbench predict --checkpoint C depth.png --intrinsics 525,525,319.5,239.5 "
-    "--depth-scale 0.001`"
+    epilog="Examples: `partialbench predict mug.ply` · "
+    "`partialbench predict captures/ --checkpoint results --json` · "
+    "`partialbench predict depth.png --intrinsics 525,525,319.5,239.5 --depth-scale 0.001`"
 )
 def predict(
     file: Annotated[
@@ -242,8 +275,9 @@ def predict(
         ),
     ],
     checkpoint: Annotated[
-        Path, typer.Option(help="written by eval: the file, its run's folder or --results")
-    ],
+        str,
+        typer.Option(help=f"weights: {WEIGHTS}"),
+    ] = "papnet-steered",
     model: Annotated[
         str | None,
         typer.Option(help="your module:factory, for weights of a model of your own"),
@@ -251,8 +285,10 @@ def predict(
     intrinsics: Annotated[
         str | None, typer.Option(help="FX,FY,CX,CY in pixels, for a depth image")
     ] = None,
-    depth_scale: Annotated[float, typer.Option(help="units of a depth value")] = 1.0,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "cpu",
+    depth_scale: Annotated[
+        float, typer.Option(help="units of a depth value: 0.001 for millimetres")
+    ] = 1.0,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     votes: Annotated[
         int, typer.Option(help="a dense capture is cut into up to so many clouds that vote")
     ] = 8,
@@ -265,9 +301,13 @@ def predict(
         preflight.check_model(model)
     if not file.exists():
         raise InputError(f"no file at {file}")
+    from partialbench.benchmark.training.find import find_checkpoint
+
+    find_checkpoint(checkpoint)  # before torch is loaded
     from partialbench.benchmark.predict import Classifier, captures
 
     classifier = Classifier(checkpoint, device, model)
+    stderr.print(f"note: {classifier.about}", markup=False, soft_wrap=True)
     if not file.is_dir():
         answer = classifier(file, K, depth_scale, votes)
         print_result(_answer_data(file, answer), as_json, "\n".join(_answer_lines(answer)))

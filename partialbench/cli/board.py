@@ -12,7 +12,7 @@ import typer
 
 from partialbench.benchmark import preflight
 from partialbench.cli.verbs import Verbs
-from partialbench.console import continued_by, stderr
+from partialbench.console import Json, continued_by, print_result, stderr
 from partialbench.progress import counting_bar
 
 commands = Verbs("Tables")
@@ -21,21 +21,24 @@ commands = Verbs("Tables")
 @commands.command(epilog="Example: `partialbench leaderboard --results results --out board`")
 def leaderboard(
     results: Annotated[Path, typer.Option(help="folder of records")] = Path("results"),
-    out: Annotated[Path, typer.Option(help="where tables go")] = Path("leaderboard_out"),
+    out: Annotated[Path, typer.Option(help="where page and tables go")] = Path("board"),
     check: Annotated[
         bool,
-        typer.Option("--check", help="recompute every score from the stored predictions first"),
+        typer.Option(help="recompute every score from the stored predictions first"),
     ] = False,
     data: Annotated[
-        list[Path] | None, typer.Option(help="data folders, for the clouds of the page's gallery")
+        list[Path] | None,
+        typer.Option(help="a data folder, for the clouds of the page's gallery (repeatable)"),
     ] = None,
     look_in: Annotated[
         list[Path] | None,
-        typer.Option(help="folders to look through for data: cameras for all, built-in clouds too"),
+        typer.Option(
+            help="a folder to look through for data: cameras for all, built-in clouds too "
+            "(repeatable)"
+        ),
     ] = None,
-    figures: Annotated[
-        bool, typer.Option("--figures", help="write figures too, as SVG and PNG")
-    ] = False,
+    figures: Annotated[bool, typer.Option(help="write figures too, as SVG and PNG")] = False,
+    as_json: Json = False,
 ) -> None:
     """Make page and tables anew from the records."""
     preflight.check_output(out, "--out")
@@ -46,8 +49,10 @@ def leaderboard(
         results, check=check, data=tuple(data or ()), figures=figures, on_progress=bar,
         look_in=tuple(look_in or ()),
     )  # fmt: skip
-    page, *_ = board.save(out)
-    print(page)
+    written = board.save(out)
+    print_result(
+        {"out": str(out), "files": [str(path) for path in written]}, as_json, str(written[0])
+    )
 
 
 @commands.command()
@@ -55,9 +60,13 @@ def quickstart(
     out: Annotated[Path, typer.Option(help="where everything goes")] = Path("quickstart"),
     model: Annotated[
         list[str] | None,
-        typer.Option(help="which model to train (repeat for more) [pointnet, papnet-steered]"),
+        typer.Option(
+            help="a model to train (repeatable)", show_default="pointnet and papnet-steered"
+        ),
     ] = None,
-    workers: Annotated[int, typer.Option(help="processes; 0: one per core")] = 0,
+    workers: Annotated[
+        int, typer.Option(help="processes side by side", show_default="0: one a core")
+    ] = 0,
     open_page: Annotated[
         bool, typer.Option("--open/--no-open", help="open the page at the end, on a display")
     ] = True,

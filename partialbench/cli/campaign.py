@@ -44,14 +44,22 @@ def show_status(
 )
 def run_missing(
     file: File,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="side by side [one a core; on CUDA one]")
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            "--jobs",
+            min=1,
+            help="trainings side by side (--jobs is its older name)",
+            show_default="one a core; on CUDA one",
+        ),
     ] = None,
     device: Annotated[str, typer.Option(help="auto, cpu, cuda, cuda:1")] = "auto",
     only: Annotated[
         list[str] | None,
         typer.Option(
-            help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds' (repeatable)"
+            help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds' (repeatable)",
+            show_default="all",
         ),
     ] = None,
     time_limit: Annotated[
@@ -75,7 +83,7 @@ def run_missing(
 
     with continued_by("the same command"):
         found = run(
-            load(file), jobs=jobs, device=device, only=only or (),
+            load(file), jobs=workers, device=device, only=only or (),
             time_limit_s=None if time_limit is None else seconds(time_limit),
             scheduler=scheduler, retry_failed=retry_failed,
             say=lambda text: stderr.print(text, markup=False),

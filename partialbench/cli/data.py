@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 from collections import Counter
 from enum import StrEnum
@@ -12,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from partialbench import arguments, registry
+from partialbench import arguments
 from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, given, print_result, stderr
 from partialbench.dataset.settings import SETTINGS
@@ -30,9 +29,18 @@ Setting = StrEnum("Setting", {name: name for name in SETTINGS})  # type: ignore[
 
 
 @commands.command(
+    panels={
+        "What is seen": "setting views resolution camera sensor occluders grid min_visible radius "
+        "gamma variant",
+        "What is stored": "points keep_depth normals rows_per_shard",
+        "Which objects": "objects_per_class counts split aligned up",
+        "Scans and rooms (ps15)": "scannet scan2cad rooms viewpoints split_file label_map labels "
+        "rule",
+        "How it runs": "workers scheduler allow_failures retry_failed",
+    },
     epilog="Examples: `partialbench render pm40 --out data/pm40` · "
     "`partialbench render pm40 --source ModelNet40.zip --out data/pm40` · "
-    "`partialbench render ps15 --scannet scans/ --scan2cad full_annotations.json --out data/ps15`"
+    "`partialbench render ps15 --scannet scans/ --scan2cad full_annotations.json --out data/ps15`",
 )
 def render(
     data_set: Annotated[DataSet, typer.Argument(help="which data set to make")],
@@ -41,7 +49,8 @@ def render(
         str | None,
         typer.Option(
             help="a source by name, or a path: ModelNet40 tree or zip, folder of meshes, "
-            "clouds (HDF5 or folder); default: the built-in one"
+            "clouds (HDF5 or folder)",
+            show_default="the built-in shapes; ps15: simulated rooms",
         ),
     ] = None,
     setting: Annotated[
@@ -51,28 +60,37 @@ def render(
             "turned about z or aligned"
         ),
     ] = Setting("partial"),
-    views: Annotated[int | None, typer.Option(help="viewpoints per training object [10]")] = None,
+    views: Annotated[
+        int | None, typer.Option(help="viewpoints per training object", show_default="10")
+    ] = None,
     objects_per_class: Annotated[
-        int | None, typer.Option(help="at most so many of each class in each split")
+        int | None,
+        typer.Option(help="at most so many of each class in each split", show_default="all"),
     ] = None,
     counts: Annotated[
         str | None,
-        typer.Option(help="built-in shapes: objects per class, TRAIN,TEST or 'modelnet40'"),
+        typer.Option(
+            help="built-in shapes: objects per class, TRAIN,TEST or 'modelnet40'",
+            show_default="100,20",
+        ),
     ] = None,
     points: Annotated[int, typer.Option(help="points stored per cloud")] = 2048,
-    resolution: Annotated[int | None, typer.Option(help="depth image side in pixels [256]")] = None,
+    resolution: Annotated[
+        int | None, typer.Option(help="depth image side in pixels", show_default="256")
+    ] = None,
     camera: Annotated[
         str | None,
         typer.Option(
-            help="FX,FY,CX,CY,WIDTH,HEIGHT in pixels: one fixed camera that may cut "
-            "objects, instead of a crop fitted to each"
+            help="FX,FY,CX,CY,WIDTH,HEIGHT in pixels: one fixed camera that may cut objects",
+            show_default="a crop fitted to each",
         ),
     ] = None,
     sensor: Annotated[
         str | None,
         typer.Option(
             help="ideal; depth noise of kinect-v1 or tof; or active stereo, rendered: stereo-d415, "
-            "stereo-kinect-v1; with :STRENGTH [ideal; rooms are scanned with kinect-v1]"
+            "stereo-kinect-v1; with :STRENGTH",
+            show_default="ideal; rooms are scanned with kinect-v1",
         ),
     ] = None,
     occluders: Annotated[
@@ -90,61 +108,76 @@ def render(
         ),
     ] = None,
     keep_depth: Annotated[bool, typer.Option(help="store the depth images too")] = False,
-    normals: Annotated[
-        bool, typer.Option("--normals", help="store the points' surface normals too")
-    ] = False,
+    normals: Annotated[bool, typer.Option(help="store the points' surface normals too")] = False,
     min_visible: Annotated[
         int | None,
-        typer.Option(help="turn views away that show fewer distinct points [16; ps15: 128]"),
+        typer.Option(
+            help="turn views away that show fewer distinct points", show_default="16; ps15: 128"
+        ),
     ] = None,
     radius: Annotated[
         float | None, typer.Option(help="hidden point removal: radius of the spherical flip")
     ] = None,
     gamma: Annotated[
         float | None,
-        typer.Option(help="the same as 10^gamma · the largest distance [1.5; scans: 2.5]"),
+        typer.Option(
+            help="the same as 10^gamma · the largest distance", show_default="1.5; scans: 2.5"
+        ),
     ] = None,
     aligned: Annotated[
         bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
     ] = False,
     up: Annotated[
-        str | None, typer.Option(help="the files' up axis, z or y [z; modelnet40_ply_hdf5_2048: y]")
+        str | None,
+        typer.Option(
+            help="the files' up axis, z or y", show_default="z; modelnet40_ply_hdf5_2048: y"
+        ),
     ] = None,
-    scannet: Annotated[Path | None, typer.Option(help="ps15: folder of ScanNet scans")] = None,
-    scan2cad: Annotated[Path | None, typer.Option(help="ps15: full_annotations.json")] = None,
-    rooms: Annotated[int | None, typer.Option(help="ps15: how many rooms to simulate")] = None,
+    scannet: Annotated[Path | None, typer.Option(help="folder of ScanNet scans")] = None,
+    scan2cad: Annotated[Path | None, typer.Option(help="full_annotations.json")] = None,
+    rooms: Annotated[
+        int | None, typer.Option(help="how many rooms to simulate", show_default="50")
+    ] = None,
     viewpoints: Annotated[
         str | None,
-        typer.Option(help="ps15: uniform (the paper's) or standing (a person with a camera)"),
+        typer.Option(
+            help="uniform (the paper's) or standing (a person with a camera)",
+            show_default="uniform",
+        ),
     ] = None,
     split_file: Annotated[
         list[Path] | None,
         typer.Option(
-            help='ps15: scannetv2_train.txt (repeat for …_val.txt), or JSON {"train": [scene, …], '
+            help='scannetv2_train.txt (repeat for …_val.txt), or JSON {"train": [scene, …], '
             '"test": […]}'
         ),
     ] = None,
     label_map: Annotated[
-        Path | None, typer.Option(help="ps15: scannetv2-labels.combined.tsv, if not with the scans")
+        Path | None, typer.Option(help="scannetv2-labels.combined.tsv, if not with the scans")
     ] = None,
     labels: Annotated[
         str | None,
-        typer.Option(help="ps15: numbers in labels files: nyu40, scannet [auto: as the scan says]"),
+        typer.Option(
+            help="numbers in labels files: nyu40, scannet", show_default="as the scan says"
+        ),
     ] = None,
     rule: Annotated[
         list[str] | None,
-        typer.Option(help="ps15: a threshold, NAME=VALUE (repeat for more); docs/ps15.md"),
+        typer.Option(help="a threshold, NAME=VALUE (repeatable); docs/ps15.md has the names"),
     ] = None,
     split: Annotated[
-        list[str] | None, typer.Option(help="only this split (repeat for more); default: all")
+        list[str] | None, typer.Option(help="only this split (repeatable)", show_default="all")
     ] = None,
     seed: Annotated[int, typer.Option(help="of every random draw")] = 0,
-    workers: Annotated[int, typer.Option(help="processes; 0: one per core")] = 0,
+    workers: Annotated[
+        int, typer.Option(help="processes side by side", show_default="0: one a core")
+    ] = 0,
     scheduler: Annotated[
         str | None, typer.Option(help="run on the Dask cluster at this address (tcp://…)")
     ] = None,
     variant: Annotated[
-        str | None, typer.Option(help="Mitsuba variant [auto: the fastest that works here]")
+        str | None,
+        typer.Option(help="of Mitsuba: llvm_ad_rgb, …", show_default="the fastest that works here"),
     ] = None,
     rows_per_shard: Annotated[int, typer.Option(help="rows per file")] = 1000,
     allow_failures: Annotated[
@@ -201,7 +234,7 @@ def render(
                 make_executor=partial(process_pool, workers),
                 on_room=made,
                 on_scene=listed,
-                on_listing=_say_source,
+                on_listing=say_source,
                 on_progress=on_progress,
                 setting=its_setting,
                 views=views,
@@ -263,7 +296,7 @@ def _then(manifest: Any) -> str:
     return new if unlisted else "run the same command with --retry-failed"
 
 
-def _say_source(listing: str) -> None:
+def say_source(listing: str) -> None:
     stderr.print(f"source: {listing}", markup=False, soft_wrap=True)
 
 
@@ -271,7 +304,11 @@ def _say_source(listing: str) -> None:
 def verify(
     folder: Annotated[Path, typer.Argument(help="a data folder, or an export of one")],
     source: Annotated[
-        str | None, typer.Option(help="what it was made from, to check points against surfaces")
+        str | None,
+        typer.Option(
+            help="what it was made from, to check points against surfaces",
+            show_default="the built-in shapes, where it was made from them",
+        ),
     ] = None,
     scannet: Annotated[Path | None, typer.Option(help="ps15: the same, its scans")] = None,
     scan2cad: Annotated[Path | None, typer.Option(help="ps15: and their annotations")] = None,
@@ -320,63 +357,10 @@ def show(
     split: Annotated[str, typer.Option(help="which split")] = "train",
     samples: Annotated[int, typer.Option(help="how many clouds")] = 24,
     seed: Annotated[int, typer.Option(help="which ones")] = 0,
+    as_json: Json = False,
 ) -> None:
     """Draw a page of samples: cloud by depth, canonical axes, visible fraction."""
     from partialbench.dataset.show import show as draw
 
-    print(draw(folder, out, split, samples, seed))
-
-
-@commands.command(epilog="Example: `partialbench shapes --out cad --counts 5,2 --formats off,glb`")
-def shapes(
-    out: Annotated[Path, typer.Option(help="folder to write the tree into")],
-    counts: Annotated[str, typer.Option(help="per class: TRAIN,TEST or 'modelnet40'")] = "10,5",
-    formats: Annotated[str, typer.Option(help="off, obj, glb; comma-separated")] = "off",
-    classes: Annotated[str | None, typer.Option(help="only these, comma-separated")] = None,
-    seed: Annotated[int, typer.Option(help="another seed, other shapes")] = 0,
-) -> None:
-    """Export the built-in CAD shapes in ModelNet40's tree layout."""
-    written = registry.load(registry.SHAPE_EXPORT)(
-        out,
-        arguments.counts(counts),
-        formats.split(","),
-        classes.split(",") if classes else None,
-        seed,
-    )
-    print(f"{written:,} files in {out}")
-
-
-@commands.command(
-    name="import", epilog="Example: `partialbench import papnet release/ --out data/pm40`"
-)
-def import_release(
-    release: Annotated[str, typer.Argument(help="whose layout: papnet, scanobjectnn")],
-    folder: Annotated[Path, typer.Argument(help="holds the arrays as published")],
-    out: Annotated[Path, typer.Option(help="the data folder to make")],
-    data_set: Annotated[
-        DataSet | None, typer.Option(help="papnet: which of the two the arrays hold")
-    ] = None,
-    allow_failures: Annotated[bool, typer.Option(help="exit 0 even if some rows are lost")] = False,
-    as_json: Json = False,
-) -> None:
-    """Turn published arrays into a data folder: papnet (the paper's authors') or scanobjectnn."""
-    if release not in registry.RELEASES:
-        raise PartialbenchError(
-            f"no release layout {release!r}{registry.close_matches(release, registry.RELEASES)}"
-        )
-    told = given(data_set=data_set and data_set.value)
-    entry = registry.load(registry.RELEASES[release])
-    if told and "data_set" not in inspect.signature(entry).parameters:
-        raise PartialbenchError(f"--data-set does not apply to {release}: it is one data set")
-    manifest = entry(folder, out, **told)
-    if manifest.listing:
-        _say_source(manifest.listing)
-    rows = {split: manifest.rows(split) for split in manifest.splits()}
-    failed = sum(f["kind"] == "failed" for f in manifest.failures)
-    print_result({"folder": str(out), "rows": rows, "failed": failed}, as_json,
-            f"{out}: " + ", ".join(f"{n:,} {split} rows" for split, n in rows.items()))  # fmt: skip
-    if failed and not allow_failures:
-        raise PartialbenchError(
-            f"{failed} row(s) were lost; {out / 'failures.jsonl'} has the reasons. Accept that "
-            f"with --allow-failures"
-        )
+    page = draw(folder, out, split, samples, seed)
+    print_result({"page": str(page)}, as_json, str(page))

@@ -14,7 +14,7 @@ import typer
 from rich.logging import RichHandler
 
 from partialbench import __version__, extras, user_code
-from partialbench.cli import benchmark, board, campaign, data, share
+from partialbench.cli import benchmark, board, campaign, data, share, sources
 from partialbench.console import prepare_streams, quiet_libraries, stderr
 from partialbench.errors import PartialbenchError
 from partialbench.search_path import current_folder_last
@@ -28,7 +28,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-for stage in (data, benchmark, campaign, board, share):
+for stage in (data, sources, benchmark, campaign, board, share):
     app.add_typer(stage.commands)
 
 

@@ -3,10 +3,15 @@
 A configuration is a TOML file with a command's own options as keys, as they are on the command
 line but for the dashes: ``num-points = 512`` or ``num_points = 512``. Several commands may share a
 file: each then has a table by its name. The command line goes before the file.
+
+What is called the same means the same everywhere: the folder that a command is about stands without
+an option, data that it needs besides are ``--data``, records ``--results``, weights
+``--checkpoint``, what it writes ``--out``.
 """
 
 from __future__ import annotations
 
+import copy
 import functools
 import inspect
 import json
@@ -33,22 +38,32 @@ class Verbs(typer.Typer):
         self.panel = panel
 
     def command(  # type: ignore[override]
-        self, *args: Any, **kwargs: Any
+        self, *args: Any, panels: Mapping[str, str] | None = None, **kwargs: Any
     ) -> Callable[[Callable], Callable]:
-        """As Typer's; the function is returned as it was."""
+        """As Typer's; the function is returned as it was.
+
+        Args:
+            panels: heading of the command's help → the parameters under it, separated by blanks.
+                The rest stand under "Options", before them.
+        """
+        headings = {name: title for title, some in (panels or {}).items() for name in some.split()}
         if self.panel:
             kwargs.setdefault("rich_help_panel", self.panel)
         register = super().command(*args, **kwargs)
 
         def decorate(function: Callable) -> Callable:
-            register(_configured(function))
+            register(_configured(function, headings))
             return function
 
         return decorate
 
 
-def _configured(function: Callable) -> Callable:
+def _configured(function: Callable, headings: Mapping[str, str]) -> Callable:
     hints = typing.get_type_hints(function, include_extras=True)
+    parameters = inspect.signature(function).parameters
+    assert set(headings) <= set(parameters), f"{function.__name__} has no {headings}"
+    for name, parameter in parameters.items():
+        hints[name] = _shown(hints[name], headings.get(name), parameter.default is not False)
 
     @functools.wraps(function)
     def run(context: typer.Context, save_config: Path | None, **options: Any) -> Any:
@@ -60,10 +75,7 @@ def _configured(function: Callable) -> Callable:
         return function(**options)
 
     own = {"context": typer.Context, "config": Config, "save_config": SaveConfig}
-    parameters = [
-        parameter.replace(annotation=hints[name])
-        for name, parameter in inspect.signature(function).parameters.items()
-    ]
+    options = [parameter.replace(annotation=hints[name]) for name, parameter in parameters.items()]
     keyword = inspect.Parameter.KEYWORD_ONLY
     added = [
         inspect.Parameter("context", keyword, annotation=typer.Context),
@@ -72,8 +84,21 @@ def _configured(function: Callable) -> Callable:
     ]
     del run.__wrapped__  # what is called is told by the signature below
     run.__annotations__ = {**hints, **own}
-    run.__signature__ = inspect.Signature(parameters + added)  # type: ignore[attr-defined]
+    run.__signature__ = inspect.Signature(options + added)  # type: ignore[attr-defined]
     return run
+
+
+def _shown(hint: Any, heading: str | None, with_default: bool) -> Any:
+    """An ``Annotated`` option as the help has it; one that commands share stays as it is.
+
+    That a flag is off where it is not given goes without saying.
+    """
+    kind, *options = typing.get_args(hint)
+    options = [copy.copy(one) for one in options]
+    for one in options:
+        one.rich_help_panel = one.rich_help_panel or heading
+        one.show_default = one.show_default if with_default else False
+    return Annotated[(kind, *options)]
 
 
 def _read(context: typer.Context, path: Path | None) -> Path | None:
@@ -126,13 +151,18 @@ def _keys(parameter: Any) -> list[str]:
 
 def as_toml(context: typer.Context) -> str:
     """The options that were given, by the command line or a file, as a file has them."""
-    lines = [f"# partialbench {context.command_path.partition(' ')[2]}"]
+    lines = [" ".join(["# partialbench", *_words(context)])]
     for parameter in _parameters(context):
         source = context.get_parameter_source(parameter.name)
         value = context.params.get(parameter.name)
         if source is not None and source.name in _GIVEN and value is not None:
             lines.append(f"{_keys(parameter)[0].replace('_', '-')} = {_toml(value)}")
     return "\n".join(lines) + "\n"
+
+
+def _words(context: Any) -> list[str]:
+    """Of the command as it is typed: "campaign run", whatever the program was started by."""
+    return [] if context.parent is None else [*_words(context.parent), context.info_name]
 
 
 def _toml(value: Any) -> str:
@@ -150,11 +180,14 @@ def _toml(value: Any) -> str:
 Config = Annotated[
     Path | None,
     typer.Option(
-        "--config", callback=_read, is_eager=True,
+        "--config", callback=_read, is_eager=True, rich_help_panel="Configuration file",
         help="TOML file with this command's options; what is given here goes before it",
     ),
 ]  # fmt: skip
 SaveConfig = Annotated[
     Path | None,
-    typer.Option("--save-config", help="write the options given here to such a file, and go on"),
-]
+    typer.Option(
+        "--save-config", rich_help_panel="Configuration file",
+        help="write the options given here to such a file, and go on",
+    ),
+]  # fmt: skip

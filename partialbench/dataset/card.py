@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from partialbench.dataset.descriptions import description, front_matter
+from partialbench.dataset.descriptions import description, front_matter, licence_line
 from partialbench.dataset.manifest import Manifest
 from partialbench.dataset.objects import notice_lines
 from partialbench.dataset.schema import as_markdown
@@ -52,6 +52,8 @@ def card_text(folder: Path, manifest: Manifest, patterns: Mapping[str, str] | No
         f"# {manifest.dataset_id}",
         "",
         description(manifest.dataset_id),
+        "",
+        licence_line(manifest.dataset_id),
         "",
         "| class | " + " | ".join(splits) + " |",
         "|---|" + "---|" * len(splits),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from partialbench.dataset.build import build
+from partialbench.dataset.descriptions import licence_line
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.export import check_export, export
 from partialbench.dataset.loader import ShardDataset
@@ -192,6 +193,13 @@ def test_the_card_has_the_front_matter_of_a_hub(folder, exported):
         assert about["size_categories"] == ["n<1K"]
         assert about["class_names"] == ["dresser", "bottle"]
         assert body.lstrip().startswith("# toy")
+        assert "Licence: the terms of the shapes that it was made from." in body
+    for generated in ("pm40-parametric", "ps15-rooms", "ps15-rooms-standing"):
+        assert licence_line(generated).startswith(
+            "Licence: MIT (https://opensource.org/license/mit)"
+        )
+    assert "ModelNet40's terms" in licence_line("pm40")
+    assert "ScanNet" in licence_line("ps15")
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -97,7 +97,7 @@ def test_a_grid_is_rendered_and_tested(tmp_path):
     run_eval(f"{MODELS}:Posed", data, results_folder=results, **SMALL)
     (checkpoint,) = results.glob("runs/*/branch-*/checkpoint.pt")
     tested = run_eval(
-        f"{MODELS}:Posed", checkpoint_file=checkpoint, grid=grown, results_folder=results
+        f"{MODELS}:Posed", checkpoint_file=checkpoint, test_grid=grown, results_folder=results
     )
     assert [r.grid for r in tested] == list(sets)
     assert all(r.conditions == {"grid": r.grid} for r in tested)
@@ -108,7 +108,7 @@ def test_a_grid_is_rendered_and_tested(tmp_path):
     # Trained and tested in one, on one of its cells.
     name = next(iter(sets))
     both = run_eval(
-        f"{MODELS}:Posed", data, grid=f"{grown}/{name}", results_folder=results, **SMALL
+        f"{MODELS}:Posed", data, test_grid=f"{grown}/{name}", results_folder=results, **SMALL
     )
     assert [r.grid for r in both] == ["", name]
     assert both[1].predictions_sha256 == tested[0].predictions_sha256

@@ -114,7 +114,7 @@ def _work(job: Job, order: dict[str, Any], stop: Path) -> None:
         test_points=[t.points for t in job.tests if t.points is not None],
         test_poses=[t.pose for t in job.tests if t.pose],
         test_damages=[t.damage for t in job.tests if t.damage],
-        grid=[Path(folders[t.data]) / t.cell for t in job.tests if t.cell], **common,
+        test_grid=[Path(folders[t.data]) / t.cell for t in job.tests if t.cell], **common,
     )  # fmt: skip
 
 

@@ -124,6 +124,7 @@ def _test(
                 card.recipe, Recipe(**recipe), protocol, train_data.clouds, content["clouds"]
             ),
             *origin.deviations(content["summary"].get("start")),
+            *content.get("deviations", ()),
         ],
         protocol=protocol.as_dict(),
         protocol_digest=protocol.digest,

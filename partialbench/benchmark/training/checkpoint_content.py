@@ -146,5 +146,6 @@ _OPTIONAL: dict[str, _Field] = {
     "train_sources": _TEXTS,
     "average": ("names with tensors", _is_state),
     "averaged": _COUNT,
+    "deviations": _TEXTS,
     "summary": ("a finished training's summary", _is_summary),
 }

@@ -15,7 +15,8 @@ from typing import Any
 from torch import Tensor, nn
 
 from partialbench.benchmark.protocol.protocol import Protocol
-from partialbench.benchmark.training import checkpoint
+from partialbench.benchmark.training import checkpoint, packed
+from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.errors import InputError
 
 
@@ -38,13 +39,14 @@ class Start:
     origin: dict[str, Any]
 
 
-def load(path: Path | str, model: str) -> Start:
-    """The weights of a finished training's checkpoint.
+def load(given: Path | str, model: str) -> Start:
+    """The weights of a finished training, found by ``find_checkpoint``.
 
     Raises:
         InputError: no checkpoint, of another model, or of an unfinished training.
     """
-    content = checkpoint.load(path)
+    path = find_checkpoint(given)
+    content = packed.load(path)
     if content["model"] != model:
         raise InputError(f"{path} holds a {content['model']!r}, not a {model!r}: it is no start")
     checkpoint.require_finished(content, path, "be the start of another")

@@ -77,10 +77,12 @@ def export(
         if on_progress:
             on_progress(rows, total)
         missing = [part for part in parts if part.name not in finished]
+        recorded = {name: asdict(one) for name, one in finished.items()}
         for one in _made(out, missing, threads or min(THREADS, os.cpu_count() or 1)):
             finished[one.name] = one
             rows += one.rows
-            state["parts"] = [asdict(finished[p.name]) for p in parts if p.name in finished]
+            recorded[one.name] = asdict(one)
+            state["parts"] = [recorded[p.name] for p in parts if p.name in recorded]
             _save(out, state)
             if on_progress:
                 on_progress(rows, total)
