@@ -84,6 +84,11 @@ class Cell:
         return self.results[-1].cost
 
     @property
+    def date(self) -> str:
+        """The last day on which a seed was tested; "" where no record says."""
+        return max(result.date for result in self.results)
+
+    @property
     def per_class(self) -> dict[str, float]:
         """Accuracy over seeds of each class that has test clouds."""
         seeds = [r.scores["per_class"] for r in self.results]

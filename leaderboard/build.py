@@ -13,7 +13,7 @@ from leaderboard.comparison import compare
 from leaderboard.output import write_board
 from leaderboard.page import clouds, html
 from leaderboard.page.content import Found
-from leaderboard.tables import curves, damages, given, grid, latex
+from leaderboard.tables import curves, damages, given, grid, latex, not_yet, viewpoints
 from leaderboard.tables import text as tables
 from leaderboard.tables.agreement import rank_agreement
 from leaderboard.tables.layouts import layouts
@@ -22,7 +22,7 @@ from leaderboard.tables.settings import as_layout, losses, setting_families
 from leaderboard.tables.transductive import transductive_layouts
 from leaderboard.tables.transfer import transfer_layouts
 from leaderboard.tables.tuning import tuning_layouts
-from partialbench.benchmark.records import results, testsets
+from partialbench.benchmark.records import declared, results, testsets
 from partialbench.errors import InputError
 
 PAGE = "leaderboard.html"
@@ -35,6 +35,7 @@ def build_leaderboard(
     data: Sequence[Path | str] = (),
     with_figures: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
+    look_in: Sequence[Path | str] = (),
 ) -> list[Path]:
     """Writes what ``board_files`` makes; returns the paths, the page's first.
 
@@ -44,7 +45,7 @@ def build_leaderboard(
         InputError: see there; nothing is written.
     """
     return write_board(
-        Path(out), board_files(results_folder, check, data, with_figures, on_progress)
+        Path(out), board_files(results_folder, check, data, with_figures, on_progress, look_in)
     )
 
 
@@ -54,8 +55,9 @@ def board_files(
     data: Sequence[Path | str] = (),
     with_figures: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
+    look_in: Sequence[Path | str] = (),
 ) -> dict[str, bytes]:
-    """leaderboard.html, .md, .csv and .tex, two more .csv and, if asked, figures/, by name.
+    """leaderboard.html, .md, .csv and .tex, more .csv and, if asked, figures/, by name.
 
     The same records (and data) give the same bytes.
 
@@ -64,9 +66,12 @@ def board_files(
             registry and test sets against the given data.
         data: data folders the records were tested on: the page shows clouds on which the models
             disagree from those whose digest fits. They become part of the page; whoever passes it
-            on needs the right to. Built-in data beside the records are found without being named.
+            on needs the right to.
         with_figures: figures/*.svg and *.png too.
         on_progress: called with (steps done, steps in all).
+        look_in: folders whose subfolders may be data the records were tested on, looked through
+            after those beside the records. Of data that are found so the cameras are used, and
+            clouds shown only where the data are built in.
 
     Raises:
         InputError: no records, or some that cannot be trusted: all that is wrong is listed.
@@ -92,8 +97,10 @@ def board_files(
         )
     named = {each.digest for each in test_sets}
     tested = {column.key[5] for column in board}
-    test_sets += clouds.free_test_splits(folder, tested - named)
-    steps = _Steps(on_progress, 2 * len(board) + 4)
+    at_hand = clouds.data_at_hand(folder, tested - named, look_in)
+    shown = [*test_sets, *filter(clouds.may_be_shown, at_hand)]
+    cameras = [each for each in (*test_sets, *at_hand) if each.has_poses]
+    steps = _Steps(on_progress, 2 * len(board) + 5)
     comparisons = []
     for column in board:
         comparisons.append(compare(column, folder))
@@ -106,8 +113,12 @@ def board_files(
     steps.next()
     galleries = []
     for column in board:
-        galleries.append(clouds.disagreements(column, folder, test_sets))
+        galleries.append(clouds.disagreements(column, folder, shown))
         steps.next()
+    views = viewpoints.find_curves(board, folder, cameras)
+    steps.next()
+    campaigns = declared.read_folder(folder)
+    asked = [not_yet.asked_rows(column, campaigns) for column in board]
     laid_out = [
         *layouts(board, comparisons),
         *(as_layout(family, lost) for family, lost in settings),
@@ -120,18 +131,23 @@ def board_files(
         *rank_agreement(board),
         *map(curves.as_layout, families),
         *tuning_layouts(folder, records, board),
+        *not_yet.progress(board, campaigns),
     ]
     found = Found(
-        board, comparisons, settings, families, given_poses, laid_out, galleries, test_sets
-    )
+        board, comparisons, settings, families, given_poses, views, asked, laid_out, galleries,
+        shown,
+    )  # fmt: skip
     contents = {
         PAGE: html.as_html(found, folder).encode(),
-        "leaderboard.md": tables.as_markdown(board, comparisons, laid_out).encode(),
+        "leaderboard.md": tables.as_markdown(board, comparisons, laid_out, asked).encode(),
         "leaderboard.csv": tables.as_csv(board, comparisons).encode(),
         "differences.csv": tables.differences_as_csv(board, comparisons).encode(),
         "curves.csv": tables.curves_as_csv(families, given_poses).encode(),
+        "viewpoints.csv": viewpoints.as_csv(views).encode(),
         "leaderboard.tex": latex.as_latex(board, comparisons, laid_out).encode(),
     }
+    if campaigns:
+        contents["not_yet.csv"] = not_yet.as_csv(board, campaigns).encode()
     if with_figures:
         from leaderboard.figures import draw as figures  # Matplotlib takes its time to load
 

@@ -107,6 +107,23 @@ def describe(column: Column) -> str:
     )
 
 
+_DATA = {
+    "pm40": "ModelNet40's meshes, as a depth camera sees them",
+    "pm40-parametric": "built-in shapes of ModelNet40's classes, as a depth camera sees them",
+    "pm40-clouds": "ModelNet40's complete clouds, hidden points removed",
+    "ps15": "objects scanned in rooms (ScanNet, Scan2CAD), hidden points removed",
+    "ps15-standing": "objects scanned in rooms, seen from where a person can stand",
+    "ps15-rooms": "objects of simulated scanned rooms, hidden points removed",
+}
+
+
+def data_words(column: Column) -> str:
+    """What the column's data are, "" for data that are not the project's own."""
+    names = dict.fromkeys((column.key[0], column.key[3]))
+    told = [f"{name}: {_DATA[name]}" for name in names if name in _DATA]
+    return f"{'; '.join(told)}." if told else ""
+
+
 def crosses(column: Column) -> bool:
     """Whether training and test data have different classes."""
     first = next(iter(column.cells.values())).results[0]

@@ -26,13 +26,30 @@ function roundTicks(low, high, about) {
   return ticks;
 }
 
+// The width of a column where as many stand side by side as fit (style.css has the least widths).
+function columnWidth(whole, least) {
+  const gap = 32, columns = Math.max(1, Math.floor((whole + gap) / (least + gap)));
+  return Math.max(240, (whole - gap * (columns - 1)) / columns);
+}
+
+// 1, 2 and 5 times powers of ten within [low, high].
+function logTicks(low, high) {
+  const ticks = [];
+  for (let power = 10 ** Math.floor(Math.log10(low)); power <= high; power *= 10) {
+    ticks.push(...[1, 2, 5].map(m => m * power).filter(v => v >= low && v <= high));
+  }
+  return ticks;
+}
+
 // Series: {name, key, points: [[x, y, low, high]], far: {x, y, low, high}}; y in the unit of its axis. The key is
 // of colour and mark: a model's place in the table, so that it looks alike in every figure.
 // Returns a figure with its legend, or null where there is too little to draw.
-function lineChart({ caption, series, x, y, width, lines = true }) {
-  const drawn = series.filter(each => each.points.length).map((each, i) => ({ key: i, ...each }))
-    .filter(each => each.key < MOST_LINES);
-  const left = series.filter(each => each.points.length).length - drawn.length;
+function lineChart({ caption, series, x, y, width, lines = true, apart = 0 }) {
+  const there = series.filter(each => each.points.length).map((each, i) => ({ key: i, ...each }));
+  // Rows far down the table take the looks that are free here.
+  const far = there.some(each => each.key >= MOST_LINES);
+  const drawn = there.slice(0, MOST_LINES).map((each, i) => (far ? { ...each, key: i } : each));
+  const left = there.length - drawn.length;
   const all = drawn.flatMap(each => [...each.points, ...(each.far ? [[each.far.x, each.far.y, each.far.low, each.far.high]] : [])]);
   if (all.length < FEWEST_MARKS) return null;
   const W = Math.max(280, Math.min(width, 620)), H = Math.round(W * 0.52), box = { l: 46, r: 14, t: 10, b: 40 };
@@ -46,6 +63,8 @@ function lineChart({ caption, series, x, y, width, lines = true }) {
   y0 = Math.max(y.least ?? -Infinity, y0 - room); y1 = Math.min(y.most ?? Infinity, y1 + room);
   const px = v => box.l + (to(v) - x0 + margin) / (x1 - x0 + 2 * margin) * (W - box.l - box.r);
   const py = v => H - box.b - (v - y0) / (y1 - y0) * (H - box.t - box.b);
+  // Intervals of several rows at one place stand side by side.
+  const beside = i => apart * (i - (drawn.length - 1) / 2);
   const places = x.places || (x.log ? [...new Set(xs)].sort((a, b) => a - b) : roundTicks(Math.min(...xs), Math.max(...xs), 5));
   const text = x.text || engineering;
   let last = -Infinity;
@@ -59,13 +78,13 @@ function lineChart({ caption, series, x, y, width, lines = true }) {
   const levels = roundTicks(y0, y1, 5).map(v => s("g", {},
     s("line", { x1: box.l, x2: W - box.r, y1: py(v), y2: py(v), class: "grid" }),
     s("text", { x: box.l - 6, y: py(v) + 4, "text-anchor": "end" }, String(v))));
-  const curves = drawn.map(({ key: i, ...each }) => s("g", {}, s("title", {}, each.name),
-    lines && s("path", { class: `line k${i}`, d: "M" + each.points.map(p => `${px(p[0]).toFixed(1)},${py(p[1]).toFixed(1)}`).join("L") }),
+  const curves = drawn.map(({ key: i, ...each }, n) => s("g", {}, s("title", {}, each.name),
+    lines && s("path", { class: `line k${i}`, d: "M" + each.points.map(p => `${(px(p[0]) + beside(n)).toFixed(1)},${py(p[1]).toFixed(1)}`).join("L") }),
     each.far && s("path", { class: `line far k${i}`, d: `M${px(each.points.at(-1)[0])},${py(each.points.at(-1)[1])}L${px(each.far.x)},${py(each.far.y)}` }),
     each.far && s("path", { class: `line k${i}`, d: `M${px(each.far.x)},${py(each.far.low)}V${py(each.far.high)}` }),
     each.points.map(p => [
-      typeof p[2] === "number" && s("path", { class: `line k${i}`, "stroke-opacity": 0.45, d: `M${px(p[0])},${py(p[2])}V${py(p[3])}` }),
-      mark(i, px(p[0]), py(p[1]), i)])));
+      typeof p[2] === "number" && s("path", { class: `line k${i}`, "stroke-opacity": 0.45, d: `M${px(p[0]) + beside(n)},${py(p[2])}V${py(p[3])}` }),
+      mark(i, px(p[0]) + beside(n), py(p[1]), i)])));
   const chart = s("svg", { class: "chart", viewBox: `0 0 ${W} ${H}`, width: W, height: H, role: "img", "aria-label": caption },
     levels, ticks, curves,
     s("text", { x: (box.l + W - box.r) / 2, y: H - 5, "text-anchor": "middle" }, x.label),
@@ -79,19 +98,21 @@ const legend = (drawn, left) => h("ul", { class: "key" },
 
 // Where a row's accuracy lies between the lowest and the highest bound of the table.
 function rangeMark(row, low, high) {
-  const at = v => 3 + 84 * (v - low) / (high - low || 1);
-  return s("svg", { class: "range", width: 90, height: 14, viewBox: "0 0 90 14", role: "img", "aria-label": `95 % interval ${range(row.low, row.high)}` },
-    s("line", { class: "ground", x1: 3, x2: 87, y1: 7, y2: 7 }),
-    row.low !== null && s("line", { x1: at(row.low), x2: at(row.high), y1: 7, y2: 7 }),
-    s("circle", { cx: at(row.accuracy), cy: 7, r: 3.2 }));
+  const at = v => 3 + 94 * (v - low) / (high - low || 1);
+  return s("svg", { class: "range", width: 100, height: 14, viewBox: "0 0 100 14", role: "img", "aria-label": `95 % interval ${range(row.low, row.high)}` },
+    s("title", {}, `95 % interval ${range(row.low, row.high)}`),
+    s("line", { class: "ground", x1: 3, x2: 97, y1: 7, y2: 7 }),
+    row.low !== null && s("rect", { x: at(row.low), width: Math.max(1.5, at(row.high) - at(row.low)), y: 3.5, height: 7, rx: 1.5 }),
+    s("line", { x1: at(row.accuracy), x2: at(row.accuracy), y1: 1, y2: 13 }));
 }
 
 // Shares of one class named as another; the diagonal is what is right.
 function confusionMatrix(classes, perClass, confusions, width) {
   const names = classes.filter(name => perClass.some(([label]) => label === name) || confusions.some(c => classes[c[1]] === name));
   const index = new Map(names.map((name, i) => [name, i]));
-  const margin = Math.min(86, 7 + 6.3 * Math.max(...names.map(n => Math.min(n.length, 13))));
-  const size = Math.min(width, 460), cell = (size - margin) / names.length, labelled = cell >= 8;
+  const room = Math.min(86, 7 + 6.3 * Math.max(...names.map(n => Math.min(n.length, 13))));
+  const size = Math.min(width, 460), labelled = (size - room) / names.length >= 8;
+  const margin = labelled ? room : 0, cell = (size - margin) / names.length;
   const square = (i, j, share, diagonal) => s("rect", {
     x: margin + j * cell, y: i * cell, width: cell * 0.94, height: cell * 0.94, "fill-opacity": Math.max(0.06, share), class: `cell ${diagonal ? "k0" : "k1"}`,
   }, s("title", {}, `${names[i]} named ${names[j]}: ${percent(share)} %`));

@@ -1,6 +1,10 @@
 // Clouds on which the models disagree, to be turned by hand (viewer.js).
 function gallery(column) {
-  if (!column.samples.length) return null;
+  if (!column.samples.length) {
+    // Of research data no cloud is shown unless it is asked for; those of other data may be.
+    const other = columnsOf(state.tab).find(each => each.samples.length);
+    return other ? h("p", { id: "disagree" }, h("a", { href: address({ data: other.group, clouds: other.milestone, row: "", variants: "" }), "data-key": "disagree" }, "Clouds on which the models disagree"), ` are shown for ${other.title}.`) : null;
+  }
   return h("section", { id: "disagree" }, h("h2", {}, "Where the models disagree"),
     h("p", { class: "about" }, "Test clouds that one model names rightly and another wrongly, drawn at random. Blue: what the camera sees; grey: the whole object, which no model is shown, and the camera. Solid axes: the true pose (x red, y green, z blue); choose a model to see its pose dashed. Drag to turn, or use the arrow keys."),
     h("div", { class: "gallery" }, column.samples.map(sample => cloud(sample, column))));

@@ -54,25 +54,36 @@ def open_test_split(folder: Path) -> ShardDataset:
     return ShardDataset(folder, "test", min(POINTS, stored))
 
 
-def free_test_splits(results_folder: Path, digests: set[str]) -> list[ShardDataset]:
-    """The test splits of these digests that anybody may be shown, of the data folders at hand.
+def data_at_hand(
+    results_folder: Path, digests: set[str], look_in: Sequence[Path | str] = ()
+) -> list[ShardDataset]:
+    """The test splits of these digests in the data folders at hand, each once.
 
-    Those are beside the folder of records, or in ``data`` beside it, and were made from a source of
-    ``LICENCE_CLEAN``. A folder that cannot be read is passed over: nobody asked for it.
+    Those are beside the folder of records, in ``data`` beside it, and in the folders of
+    ``look_in``. One that cannot be read is passed over: nobody asked for it.
+
+    Raises:
+        InputError: a folder of ``look_in`` that is none.
     """
+    for folder in map(Path, look_in):
+        if not folder.is_dir():
+            raise InputError(f"no folder to look for data in at {folder} (--look-in)")
     beside = results_folder.resolve().parent
-    found = []
-    for path in sorted(
-        [*beside.glob(f"*/{manifests.NAME}"), *beside.glob(f"data/*/{manifests.NAME}")]
-    ):
-        try:
-            manifest = manifests.load(path.parent)
-            clean = manifest.configuration["source"]["name"] in LICENCE_CLEAN
-            if clean and manifest.digests.get("test") in digests:
-                found.append(open_test_split(path.parent))
-        except InputError:
-            continue
-    return found
+    found: dict[str, ShardDataset] = {}
+    for parent in (beside, beside / "data", *map(Path, look_in)):
+        for path in sorted(parent.glob(f"*/{manifests.NAME}")):
+            try:
+                digest = manifests.load(path.parent).digests.get("test", "")
+                if digest in digests and digest not in found:
+                    found[digest] = open_test_split(path.parent)
+            except InputError:
+                continue
+    return [found[digest] for digest in sorted(found)]
+
+
+def may_be_shown(test_split: ShardDataset) -> bool:
+    """Whether its clouds were made from a source of ``LICENCE_CLEAN``."""
+    return test_split.manifest.configuration["source"]["name"] in LICENCE_CLEAN
 
 
 def disagreements(

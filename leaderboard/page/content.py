@@ -17,8 +17,17 @@ from leaderboard.scaling import FAR, Seen, extrapolate, group, learning_curves
 from leaderboard.tables.curves import Family
 from leaderboard.tables.given import GivenPoses, heading
 from leaderboard.tables.layouts import Layout
+from leaderboard.tables.not_yet import Asked, absent
 from leaderboard.tables.settings import Loss, compared_rows
-from leaderboard.words import crosses, describe, duplicates, reported_head, row_title
+from leaderboard.tables.viewpoints import Curves
+from leaderboard.words import (
+    crosses,
+    data_words,
+    describe,
+    duplicates,
+    reported_head,
+    row_title,
+)
 from partialbench.benchmark.protocol import milestones
 from partialbench.dataset.loader import ShardDataset
 
@@ -28,8 +37,9 @@ class Found:
     """What was found in a folder of records, all that the page is made from.
 
     Attributes:
-        comparisons, galleries: one for each column of the board.
+        comparisons, asked, galleries: one for each column of the board.
         settings: each family of settings with its losses.
+        views: accuracy and pose error over what a view shows.
         layouts: tables as text, shown behind a click.
         data: test splits that the galleries' clouds are of.
     """
@@ -39,6 +49,8 @@ class Found:
     settings: list[tuple[dict[str, Column], dict[str, list[Loss]]]]
     families: list[Family]
     given: list[GivenPoses]
+    views: list[Curves]
+    asked: list[list[Asked]]
     layouts: list[Layout]
     galleries: list[list[Sample]]
     data: list[ShardDataset]
@@ -49,8 +61,8 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
     curves = learning_curves(found.board, found.comparisons)
     cards: dict[str, Any] = {}
     columns = []
-    for column, comparison, gallery in zip(
-        found.board, found.comparisons, found.galleries, strict=True
+    for column, comparison, asked, gallery in zip(
+        found.board, found.comparisons, found.asked, found.galleries, strict=True
     ):
         for cell in column.cells.values():
             cards.setdefault(cell.results[0].model, rows.card(cell.results[0]))
@@ -71,12 +83,21 @@ def content(found: Found, folder: Path) -> dict[str, Any]:
                 "crossed": crosses(column),
                 "duplicates": duplicates(column),
                 "reported": reported_head(column) if column.reported else "",
+                "on_paper_data": column.on_paper_data,
+                "what": data_words(column),
                 "rows": lines,
                 "facts": facts.sentences(column, lines, steps, given),
+                "cost": facts.cost(lines),
                 "settings": steps,
                 "given": given,
                 "conditions": [
                     condition_data(family) for family in found.families if family.column is column
+                ],
+                "views": [view_data(curves) for curves in found.views if curves.column is column],
+                "asked": {each.name: len(each.seeds) for each in asked},
+                "absent": [
+                    {"id": each.name, "title": each.title, "state": each.state}
+                    for each in absent(asked)
                 ],
                 "samples": [
                     {"cloud": sample.cloud, "answers": sample.answers} for sample in gallery
@@ -122,7 +143,7 @@ def kind(column: Column) -> str:
     """Which tab a column is on: "partial", "complete" or "transfer"."""
     if column.key[:2] != column.key[3:5]:
         return "transfer"
-    return "partial" if column.key[1] == "partial" else "complete"
+    return "partial" if column.key[1].partition(",")[0] == "partial" else "complete"
 
 
 def _short_group(column: Column) -> str:
@@ -188,6 +209,21 @@ def condition_data(family: Family) -> dict[str, Any]:
             for name, points in family.curves.items()
         ],
     }
+
+
+def view_data(curves: Curves) -> dict[str, Any]:
+    """Row → for each bin [middle, clouds, accuracy, low, high, pose error, low, high]."""
+    return {
+        "quantity": curves.quantity,
+        "rows": {
+            name: [
+                _finite(((p.start + p.end) / 2, p.clouds, p.accuracy, p.low, p.high,
+                         p.pose_deg, p.pose_low, p.pose_high))
+                for p in places
+            ]
+            for name, places in curves.rows.items()
+        },
+    }  # fmt: skip
 
 
 def _curve_data(curves: dict[str, list[Seen]]) -> dict[str, Any]:

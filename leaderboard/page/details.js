@@ -1,6 +1,7 @@
 // What a row opens to.
 function details(column, row) {
-  const more = row.more, card = DATA.cards[row.model], width = Math.min(innerWidth - 80, 430);
+  const more = row.more, card = DATA.cards[row.model], width = columnWidth(Math.min(innerWidth - 80, 83 * 16), 21 * 16);
+  // Without what it does not say.
   const list = items => h("ul", {}, items.filter(Boolean).map(item => h("li", {}, item)));
   const classes = [...more.per_class].sort((a, b) => a[1] - b[1]);
   return h("div", { class: "cards" },
@@ -11,9 +12,8 @@ function details(column, row) {
       card.paper, card.reference && `after ${card.reference}${card.licence ? ` (${card.licence})` : ""}`,
       card.links.length > 0 && card.links.map(([label, url]) => [h("a", { href: url, rel: "noreferrer" }, label), " "]),
       `claims invariance to ${row.claims.join(", ") || "nothing"}; turned, its logits move by ${percent(row.turned)} % of their size`,
-      ...card.choices.map(text => `choice: ${text}`), ...card.deviations.map(text => `deviates: ${text}`),
-      ...more.deviations.map(text => `this run: ${text}`),
-    ])),
+      ...card.deviations.map(text => `deviates: ${text}`),
+    ]), folded("This run against the publication's recipe", more.deviations), folded("What the publication leaves open, and how it is settled here", card.choices)),
     h("div", {}, h("h3", {}, "Training"), list([
       `${thousands(more.training.clouds)} clouds seen in ${row.minutes.toFixed(1)} min, ${thousands(more.training.per_second)} a second`,
       `on ${more.training.device}; commit ${more.training.commit}`,
@@ -25,18 +25,52 @@ function details(column, row) {
       s("svg", { viewBox: "0 0 100 6", preserveAspectRatio: "none", "aria-hidden": "true" }, s("rect", { width: 100 * value, height: 6 })),
       h("span", {}, percent(value))]))),
     h("div", {}, h("h3", {}, "Confusion"), confusionMatrix(column.classes, more.per_class, more.confusions, width),
-      h("p", { class: "about" }, `True class down, answer across; blue is right. The ${more.confusions.length} most frequent confusions of all seeds.`),
+      h("p", { class: "about" }, `True class down, answer across, in the order of their names; blue is right. The ${more.confusions.length} most frequent confusions of all seeds.`),
       list(more.confusions.slice(0, 5).map(([i, j, value]) => `${column.classes[i]} named ${column.classes[j]}: ${percent(value)} %`))),
     h("div", {}, h("h3", {}, "Calibration"), reliability(row, width)),
-    more.visibility.length > 2 && h("div", {}, h("h3", {}, "Share of the surface that is seen"), lineChart({
-      caption: "Accuracy against the share of the object's surface that the camera sees.", width,
-      series: [{ name: row.title, points: more.visibility.map(([x, y]) => [100 * x, 100 * y]) }],
-      x: { label: "visible surface (%)", text: v => String(+v.toFixed(0)) }, y: { label: "accuracy (%)", least: 0, most: 100 },
-    })));
+    column.views.map(view => [ACCURACY, POSE_ERROR].map(what => viewChart(view, [row], what, width)).filter(Boolean))
+      .filter(charts => charts.length).map((charts, i) => h("div", {}, i === 0 && h("h3", {}, "By what the camera sees"), charts)));
+}
+
+const folded = (title, texts) => texts.length > 0 && h("details", { class: "fold" }, h("summary", {}, `${title} (${texts.length})`), h("ul", {}, texts.map(text => h("li", {}, text))));
+
+// Over what a view shows. Places are [middle, clouds, accuracy, low, high, pose error, low, high].
+const QUANTITIES = {
+  "visible fraction": { scale: 100, label: "visible share of the surface (%)", text: "the share of the surface that is seen" },
+  distance: { scale: 1, label: "distance of the camera (object radii)", text: "the camera's distance" },
+  elevation: { scale: 1, label: "elevation of the camera (°)", text: "the camera's elevation, 90° straight above the object" },
+};
+const ACCURACY = { from: 2, scale: 100, label: "accuracy (%)", text: "Accuracy", most: 100 };
+const POSE_ERROR = { from: 5, scale: 1, label: "median pose error (°)", text: "Pose error", most: 180 };
+
+function viewChart(view, rows, what, width) {
+  const over = QUANTITIES[view.quantity], scaled = v => (v === null ? null : what.scale * v);
+  const clouds = rows.flatMap(row => view.rows[row.id] || []).map(place => place[1]);
+  return lineChart({
+    caption: `${what.text} over ${over.text} (95 % intervals over test objects; ${thousands(Math.min(...clouds))} to ${thousands(Math.max(...clouds))} clouds a bin).`, width,
+    series: rows.map((row, key) => ({
+      name: row.title, key, points: (view.rows[row.id] || []).filter(place => place[what.from] !== null).map(place => [over.scale * place[0], ...[0, 1, 2].map(i => scaled(place[what.from + i]))]),
+    })),
+    x: { label: over.label, text: v => String(+v.toFixed(2)).replace("-", "−") }, y: { label: what.label, least: 0, most: what.most }, apart: 4,
+  });
+}
+
+const COMPARED = 5;  // rows whose intervals can still be told apart
+
+// The first rows over all that is known of the views.
+function byView(column, width) {
+  const rows = column.rows.filter(row => row.main && (state.tab !== "pose" || row.pose)).slice(0, COMPARED);
+  const what = state.tab === "pose" ? POSE_ERROR : ACCURACY;
+  const charts = column.views.map(view => viewChart(view, rows, what, width)).filter(Boolean);
+  if (!charts.length) return null;
+  const lacking = column.views.length < 3 && h("p", { class: "about" }, "Distance and elevation of the camera are in the data: they are drawn where the data folder is at hand when the board is made (partialbench leaderboard --look-in FOLDER).");
+  return h("section", { id: "views" }, h("h2", {}, "By what the camera sees"), h("div", { class: "figures" }, charts), lacking);
 }
 
 function copy(text, button) {
-  navigator.clipboard?.writeText(text).then(() => { button.textContent = "copied"; }, () => { button.textContent = "select it and copy by hand"; });
+  const byHand = () => { button.textContent = "select it and copy by hand"; };
+  if (!navigator.clipboard) byHand();  // pages served without encryption have none
+  else navigator.clipboard.writeText(text).then(() => { button.textContent = "copied"; }, byHand);
 }
 
 function reliability(row, width) {
@@ -64,12 +98,14 @@ const MOST_FAR = 3;  // more intervals on one spot hide each other
 // Accuracy over clouds seen, with what a power law expects of more where there are milestones enough.
 function learning(column, rows, width) {
   const curves = DATA.curves[column.group] || {};
-  const series = rows.filter(row => curves[row.id]).map((row, i) => ({
+  // Where several rows are compared, one milestone is no curve.
+  const long = rows.filter(row => curves[row.id] && (rows.length === 1 || curves[row.id].points.length > 1));
+  const series = long.map((row, i) => ({
     name: row.title, key: rows.indexOf(row),
     points: curves[row.id].points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]),
     far: i < MOST_FAR && curves[row.id].far && { x: DATA.far, y: 100 * curves[row.id].far[0], low: 100 * curves[row.id].far[1], high: 100 * curves[row.id].far[2] },
   }));
-  if (!series.some(each => each.points.length > 1)) return null;  // one milestone is no curve
+  if (!series.some(each => each.points.length > 1)) return null;
   const far = series.filter(each => each.far);
   const told = far.map(({ name, far: f }) => `${name} ${f.y.toFixed(1)} % (${f.low.toFixed(1)} – ${f.high.toFixed(1)})`).join("; ");
   return lineChart({

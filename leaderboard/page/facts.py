@@ -6,7 +6,7 @@ from typing import Any
 
 from leaderboard.board import Column
 from leaderboard.tables.settings import Loss
-from leaderboard.words import percent
+from leaderboard.words import engineering, percent
 
 
 def sentences(
@@ -21,8 +21,30 @@ def sentences(
     """
     main = [row for row in rows if row["main"]]
     return [
-        text for text in (_best(main), _cost_of_settings(main, steps), _pose(main, given)) if text
+        text
+        for text in (_best(main), _cost_of_settings(column, main, steps), _pose(main, given))
+        if text
     ]
+
+
+def cost(rows: list[dict[str, Any]]) -> list[str]:
+    """What accuracy costs, in one sentence; none where only one model is there."""
+    main = [row for row in rows if row["main"]]
+    if len(main) < 2:
+        return []
+    first, cheapest = main[0], min(main, key=lambda row: row["multiply_adds"])
+    text = f"{first['title']}, the most accurate, takes {_cost(first)} a cloud"
+    if cheapest is not first:
+        text += (
+            f"; the cheapest, {cheapest['title']}, {_cost(cheapest)} at "
+            f"{percent(cheapest['accuracy'], None)} %"
+        )
+    dearer = sum(row["multiply_adds"] > first["multiply_adds"] for row in main[1:])
+    return [f"{text}. Of the {len(main) - 1} others {dearer or 'none'} cost more than the first."]
+
+
+def _cost(row: dict[str, Any]) -> str:
+    return f"{engineering(row['multiply_adds'])} multiply-adds"
 
 
 def _best(main: list[dict[str, Any]]) -> str:
@@ -38,9 +60,16 @@ def _best(main: list[dict[str, Any]]) -> str:
     return f"{ahead}; of all pairs tested at once, it cannot be told apart from {listed}."
 
 
-def _cost_of_settings(main: list[dict[str, Any]], steps: dict[str, Any] | None) -> str:
+def _cost_of_settings(
+    column: Column, main: list[dict[str, Any]], steps: dict[str, Any] | None
+) -> str:
     if steps is None:
-        return ""
+        if column.key[1] != "partial" or column.key[:2] != column.key[3:5]:
+            return ""
+        return (
+            "How much worse this is than on complete clouds is not measured yet: no model here was "
+            "trained and tested on complete clouds of these objects."
+        )
     by_id = {row["id"]: row for row in steps["rows"]}
     row = next((by_id[r["id"]] for r in main if r["id"] in by_id), None)
     if row is None:
@@ -83,7 +112,7 @@ def _pose(main: list[dict[str, Any]], given: dict[str, Any] | None) -> str:
     gains = {row["id"]: row["gain"] for row in given["rows"]} if given else {}
     told = next((row for row in posed if gains.get(row["id"])), None)
     if told is None:
-        return f"{text}."
+        return f"{text}. What the true pose would be worth to it is not tested yet (--test-pose 0)."
     gain: Loss = tuple(gains[told["id"]])
     return f"{text}; told the true pose, {told['title']} gains {_points(gain)}."
 

@@ -1,7 +1,7 @@
 // The page for the state in the address.
 const main = document.getElementById("main");
 const EMPTY = {
-  partial: "No model was tested on partial views yet.",
+  partial: "No model was tested on partial views yet: partialbench eval --model pointnet --data FOLDER --results results, and make the board again.",
   complete: "No model was tested on complete clouds yet. Render a data set with --setting aligned or rotated, and run eval on it.",
   transfer: "No model was tested on another data set than its own yet: partialbench eval … --test-data FOLDER.",
   noise: "No model was tested on other clouds than it was trained for yet: partialbench eval … --checkpoint FILE --test-points 64, or --test-data with a folder rendered with --sensor.",
@@ -72,44 +72,63 @@ function whatItShows(column, width) {
   const cost = state.tab === "cost" && lineChart({
     caption: "Accuracy against the multiply-adds of one cloud.", width, lines: false,
     series: main.map(row => ({ name: row.title, points: [[Math.max(row.multiply_adds, 1), 100 * row.accuracy, row.low && 100 * row.low, row.high && 100 * row.high]] })),
-    x: { log: true, label: "multiply-adds of one cloud" }, y: { label: "accuracy (%)", most: 100, least: 0 },
+    x: { log: true, label: "multiply-adds of one cloud", places: logTicks(...[Math.min, Math.max].map(of => of(...main.map(row => Math.max(row.multiply_adds, 1))))) },
+    y: { label: "accuracy (%)", most: 100, least: 0 },
   });
   const topK = state.tab === "pose" && lineChart({
     caption: "Share of clouds whose true pose bin is among the k most probable of the 60.", width,
-    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: Math.min(main.indexOf(row), MOST_LINES - 1), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
+    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: main.indexOf(row), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
     x: { label: "k", text: String }, y: { label: "share of clouds (%)", least: 0, most: 100 },
   });
   return h("section", { id: "shows" }, h("h2", {}, "What this shows"),
-    h("ul", { class: "facts" }, column.facts.map(text => h("li", {}, text))),
+    h("ul", { class: "facts" }, (state.tab === "cost" ? column.cost : column.facts).map(text => h("li", {}, text))),
     h("div", { class: "figures" }, cost, topK, learning(column, main, width), settings));
 }
 
 function behindAClick(column) {
-  const section = (title, ...content) => h("details", { class: "section", "data-open": title }, h("summary", { "data-key": `open-${title}` }, title), content);
+  // Made when it is opened: most never are.
+  const section = (title, make) => h("details", {
+    class: "section", "data-open": title, ontoggle: event => { if (event.target.open && event.target.childElementCount === 1) event.target.append(make()); },
+  }, h("summary", { "data-key": `open-${title}` }, title));
   const others = DATA.layouts.filter(layout => layout.title.includes(column.name) || !DATA.columns.some(c => layout.title.includes(c.name)));
   return h("section", { id: "more" }, h("h2", {}, "More"),
-    section("Downloads", downloads(column)),
-    section("Data, protocol and digests", h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card.")),
-    others.map(layout => section(layout.title, h("p", { class: "about" }, layout.about), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": layout.title }, h("table", {},
-      h("thead", {}, h("tr", {}, layout.head.map((text, i) => h("th", { scope: "col", class: i ? null : "name text" }, text)))),
-      h("tbody", {}, layout.rows.map(row => h("tr", {}, row.map((text, i) => h("td", { class: i ? null : "name text" }, text))))))))));
+    section("Downloads", () => downloads(column)),
+    section("Data, protocol and digests", () => h("div", {}, h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card."))),
+    others.map(layout => section(layout.title, () => textTable(layout))));
 }
 
-function show() {
+const textTable = layout => h("div", {}, h("p", { class: "about" }, layout.about), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": layout.title }, h("table", {},
+  h("thead", {}, h("tr", {}, layout.head.map((text, i) => h("th", { scope: "col", class: i ? null : "name text" }, text)))),
+  h("tbody", {}, layout.rows.map(row => h("tr", {}, row.map((text, i) => h("td", { class: i ? null : "name text" }, text))))))));
+const progress = () => DATA.layouts.find(layout => layout.title.startsWith("Asked for"));
+
+// What follows the table, in its order; the table is there before it.
+const below = (column, width) => [
+  state.tab === "pose" && given(column), whatItShows(column, width), byView(column, width), gallery(column), behindAClick(column),
+].filter(Boolean);
+
+function show(firstTime) {
   readAddress();
   const focus = document.activeElement?.dataset?.key, opened = [...main.querySelectorAll("details[data-open][open]")].map(d => d.dataset.open);
   const scroll = [scrollX, scrollY], across = main.querySelector("#table .scroll")?.scrollLeft || 0;
-  const column = current(), width = Math.min(main.clientWidth, 620);
+  const column = current(), width = Math.min(columnWidth(main.clientWidth, 432), 620);
   const tabs = h("nav", { "aria-label": "what is tested" }, TABS.map(([tab, title]) => h("a", {
     href: address({ tab, data: "", clouds: "", sort: "", dir: "", cols: "", row: "" }), "aria-current": tab === state.tab ? "page" : null, "data-key": `tab-${tab}`,
   }, title)));
   hideTip();
+  const asked = progress();
   main.replaceChildren(tabs, ...(column ? [
     controls(column), state.tab === "noise" && h("div", {}, conditions(column, width)),
     h("h2", { class: state.tab === "noise" ? null : "unseen" }, state.tab === "noise" ? "On clouds as they were trained for" : "Results"),
-    h("div", { id: "table" }, table(column)), h("p", { class: "about" }, column.about), state.tab === "pose" && given(column),
-    whatItShows(column, width), gallery(column), behindAClick(column),
-  ].filter(Boolean) : [h("p", { class: "note", id: "empty" }, EMPTY[state.tab])]));
+    h("div", { id: "table" }, table(column)), h("p", { class: "about" }, "A line opens to the command that runs it again, its card, its curves and its classes."), h("p", { class: "about" }, column.what && `${column.what} `, column.about),
+    ...(firstTime === true ? [] : below(column, width)),
+  ].filter(Boolean) : [h("p", { class: "note", id: "empty" }, EMPTY[state.tab]), asked && h("section", {}, h("h2", {}, asked.title), textTable(asked))].filter(Boolean)));
+  if (firstTime === true && column) {
+    // The table is painted, and answers, before the rest is drawn.
+    requestAnimationFrame(() => setTimeout(() => { if (column === current()) main.append(...below(column, width)); document.body.dataset.whole = "yes"; }));
+  } else {
+    document.body.dataset.whole = "yes";
+  }
   for (const each of main.querySelectorAll("details[data-open]")) each.open = opened.includes(each.dataset.open);
   main.querySelector("#table .scroll")?.scrollTo(across, 0);
   if (focus) main.querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus({ preventScroll: true });
@@ -121,5 +140,12 @@ addEventListener("hashchange", show);
 // Charts are drawn to the width there is; a phone's address bar changes the height alone.
 let drawnAt = innerWidth;
 addEventListener("resize", () => { if (innerWidth !== drawnAt) { drawnAt = innerWidth; show(); } });
-show();
+for (const link of document.querySelectorAll("a[data-jump]")) {
+  link.addEventListener("click", event => {
+    event.preventDefault();  // the address is the table's
+    const place = document.getElementById(link.dataset.jump);
+    place.scrollIntoView(); place.querySelector("h2").focus({ preventScroll: true });
+  });
+}
+show(true);
 if (state.row) main.querySelector("tr.detail")?.previousElementSibling.scrollIntoView();

@@ -19,8 +19,6 @@ from partialbench.benchmark.records.predictions import Predictions
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.metrics import confusion
 
-FEW_CLOUDS = 10
-"""A share of fewer clouds says little, and is not drawn."""
 CONFUSIONS = 40
 """Pairs of classes that a row keeps, the most frequent first."""
 BINS = 10
@@ -87,6 +85,7 @@ def _row(
         "seen": training["clouds_seen"] + clouds_before(training.get("start")),
         "minutes": _short(training["seconds"] / 60),
         "seeds": cell.seeds,
+        "date": cell.date or None,
         "paper": None if paper is None else _short(paper / 100),
         "more": _details(column, cell, folder),
     }  # fmt: skip
@@ -128,7 +127,6 @@ def _details(column: Column, cell: Cell, folder: Path) -> dict[str, Any]:
         "per_class": [[label, _short(share)] for label, share in cell.per_class.items()],
         "confusions": _confusions(first, tested),
         "reliability": _reliability(tested),
-        "visibility": _visibility(cell),
         "ensemble": _mean_curve([r.scores["ensemble"] for r in cell.results]),
         "top_k": _mean_curve([(r.scores["pose"] or {}).get("top_k") for r in cell.results]),
         "log": {
@@ -175,16 +173,6 @@ def _reliability(tested: list[tuple[Predictions, NDArray]]) -> list[list[Any]]:
         [_short(float(confidence[here].mean())), _short(float(right[here].mean())), int(here.sum())]
         for here in (which == i for i in range(BINS))
         if here.any()
-    ]
-
-
-def _visibility(cell: Cell) -> list[list[float | None]]:
-    """[middle of the bin, accuracy over seeds], as shares, where there are enough clouds."""
-    seeds = [result.scores["visibility"] for result in cell.results]
-    return [
-        [(bin_["from"] + bin_["to"]) / 2, _short(float(np.mean([s[i]["accuracy"] for s in seeds])))]
-        for i, bin_ in enumerate(seeds[0])
-        if bin_["clouds"] >= FEW_CLOUDS
     ]
 
 

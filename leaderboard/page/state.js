@@ -4,7 +4,7 @@ const TABS = [
   ["partial", "Partial"], ["complete", "Complete"], ["transfer", "Transfer"],
   ["noise", "Noise and density"], ["pose", "Pose"], ["cost", "Cost"],
 ];
-const KEYS = ["tab", "data", "clouds", "sort", "dir", "q", "row", "cols", "variants"];
+const KEYS = ["tab", "data", "clouds", "sort", "dir", "q", "row", "cols", "variants", "absent"];
 
 const state = {};
 function readAddress() {

@@ -35,10 +35,10 @@ function table(column) {
     scope: "col", class: [c.id === "model" && "name", c.text && "text"].filter(Boolean).join(" ") || null,
     "aria-sort": c === order.by ? order.direction : null,
     onmouseenter: event => showTip(event.currentTarget, c.help), onmouseleave: hideTip,
-  }, h("button", {
+  }, h("span", { class: "head" }, h("button", {
     type: "button", class: "sort", "data-key": `sort-${c.id}`,
     onclick: () => go({ sort: c.id, dir: c === order.by && state.dir !== "worst" ? "worst" : "" }),
-  }, title(c)), explained(c.help, title(c)))));
+  }, title(c)), explained(c.help, title(c))))));
 
   const body = lines.flatMap(row => {
     const open = state.row === row.id;
@@ -51,18 +51,46 @@ function table(column) {
         onclick: () => go({ variants: (folded ? [...unfolded, row.model] : unfolded.filter(m => m !== row.model)).join("|") }),
       }, `${others.length} variant${others.length > 1 ? "s" : ""}`),
     ];
-    const cells = columns.map(c => h("td", { class: c.id === "model" ? "name text" : c.text ? "text" : null }, c.id === "model" ? name : c.show(row, low, high)));
-    const line = h("tr", { class: row.main ? "row" : "row variant", "data-row": row.id }, cells);
+    const cells = columns.map(c => h("td", { class: c.id === "model" ? "name text" : c.text ? "text" : null }, c.id === "model" ? name : c.show(row, low, high, column)));
+    const line = h("tr", {
+      class: row.main ? "row" : "row variant", "data-row": row.id,
+      // The whole line opens; its button is what keyboards and screen readers have.
+      onclick: event => { if (!event.target.closest("button, a") && getSelection().isCollapsed) go({ row: open ? "" : row.id }); },
+    }, cells);
     return open ? [line, h("tr", { class: "detail" }, h("td", { colspan: columns.length }, details(column, row)))] : [line];
   });
+  body.push(...absentRows(column, columns.length, asked));
   return h("div", { class: linked ? "scroll open" : "scroll", tabindex: "0", role: "region", "aria-label": "table of models" },
     h("table", { class: "board" }, h("thead", {}, head), h("tbody", {}, body)),
     !lines.length && h("p", { class: "note" }, asked ? `No model's name has “${state.q}” in it.` : "No rows."));
 }
 
+const MOST_ABSENT = 4;  // more are behind a button
+
+// What campaigns ask for here and no record answers yet.
+function absentRows(column, width, asked) {
+  const fits = column.absent.filter(each => each.title.toLowerCase().includes(asked) || each.id.toLowerCase().includes(asked));
+  if (state.tab === "pose" || !fits.length) return [];
+  const shown = state.absent ? fits : fits.length > MOST_ABSENT ? fits.filter(each => each.state !== "not yet").slice(0, MOST_ABSENT) : fits;
+  const line = (name, ...said) => h("tr", { class: "absent" }, h("td", {}), h("td", { class: "name text" }, name), h("td", { class: "text", colspan: width - 2 }, said));
+  const lines = shown.map(each => line(each.title, each.state, h("span", { class: "quiet" }, ` asked for after ${column.milestone} clouds`)));
+  if (fits.length > MOST_ABSENT) {
+    const button = h("button", {
+      type: "button", class: "plain", "data-key": "absent", "aria-expanded": String(Boolean(state.absent)), onclick: () => go({ absent: state.absent ? "" : "all" }, true),
+    }, state.absent ? "show fewer" : `${fits.length - shown.length} not yet`);
+    lines.push(line(button, !state.absent && `not yet: ${fits.filter(each => !shown.includes(each)).map(each => each.title).join("; ")}`));
+  }
+  return lines;
+}
+
 function picker(column) {
   const now = shownColumns(column).map(c => c.id);
-  return h("details", { class: "picker", "data-open": "picker" }, h("summary", { "data-key": "picker" }, "Columns"), h("div", {},
+  const close = (box, focus) => { box.open = false; if (focus) box.querySelector("summary").focus(); };
+  return h("details", {
+    class: "picker", "data-open": "picker",
+    onkeydown: event => { if (event.key === "Escape") close(event.currentTarget, true); },
+    onfocusout: event => { if (event.relatedTarget && !event.currentTarget.contains(event.relatedTarget)) close(event.currentTarget); },
+  }, h("summary", { "data-key": "picker" }, "Columns"), h("div", {},
     COLUMNS.filter(c => c.id !== "model").map(c => h("label", {}, h("input", {
       type: "checkbox", checked: now.includes(c.id), "data-key": `col-${c.id}`,
       onchange: event => go({ cols: event.target.checked ? [...now, c.id].join(" ") : now.filter(id => id !== c.id).join(" ") }, true),

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Sequence
 
 from leaderboard.board import Column, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.tables.curves import Family
 from leaderboard.tables.given import GivenPoses
 from leaderboard.tables.layouts import Layout
+from leaderboard.tables.not_yet import Asked, sentence
 from leaderboard.tables.plain import csv_cell, markdown
 from leaderboard.words import (
     budget,
@@ -31,13 +33,18 @@ from leaderboard.words import (
 )
 
 
-def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: list[Layout]) -> str:
+def as_markdown(
+    board: list[Column],
+    comparisons: list[Comparison],
+    layouts: list[Layout],
+    asked: Sequence[Sequence[Asked]],
+) -> str:
     """One table for each column, best row first, with the paper's figure where it has one.
 
-    The paper's own tables follow.
+    Below it what is asked for there and is not there yet. The paper's own tables follow.
     """
     parts = ["# Leaderboard\n"]
-    for column, comparison in zip(board, comparisons, strict=True):
+    for column, comparison, of_column in zip(board, comparisons, asked, strict=True):
         parts += [f"## {markdown(column.title)}\n", markdown(describe(column)) + "\n"]
         head = ["model", "input", "accuracy", "95 % interval", "group", "behind the first"]
         names = ranked(column)
@@ -52,6 +59,9 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
         if posed:
             head += ["pose bin", "pose error"]
         head += ["turned", "parameters", "multiply-adds", "ms a cloud", "training", "seeds"]
+        dated = any(cell.date for cell in column.cells.values())
+        if dated:
+            head.append("date")
         if column.reported:
             head.append(reported_head(column))
         lines = [head]
@@ -84,10 +94,14 @@ def as_markdown(board: list[Column], comparisons: list[Comparison], layouts: lis
                 budget(result),
                 networks(cell),
             ]
+            if dated:
+                line.append(cell.date or "–")
             if column.reported:
                 line.append(reported(column, result))
             lines.append(line)
         parts += [*_as_lines(lines), ""]
+        if told := sentence(of_column):
+            parts += [markdown(told), ""]
     parts += map(layout_as_markdown, layouts)
     parts.append(LEGEND)
     return "\n".join(parts)
@@ -132,7 +146,7 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
          "restricted_accuracy", "calibration_error", "pose_top1", "pose_top5", "pose_median_deg",
          "pose_within_30", "rotation_drift", "parameters", "multiply_adds", "latency_ms",
          "batch_ms", "train_clouds_seen", "train_seconds", "train_clouds_per_second",
-         "peak_memory_bytes", "paper_reported", "paper_reported_other_data"]
+         "peak_memory_bytes", "paper_reported", "paper_reported_other_data", "date"]
     )  # fmt: skip
     for column, comparison in zip(board, comparisons, strict=True):
         for name in ranked(column):
@@ -156,7 +170,7 @@ def as_csv(board: list[Column], comparisons: list[Comparison]) -> str:
                 cell.cost["multiply_adds"], cell.cost["latency_ms"], cell.cost["batch_ms"],
                 first.training["clouds_seen"], first.training["seconds"],
                 first.training["clouds_per_second"], cell.cost["peak_memory_bytes"],
-                *((paper, None) if column.on_paper_data else (None, paper)),
+                *((paper, None) if column.on_paper_data else (None, paper)), cell.date,
             ]  # fmt: skip
             writer.writerow(
                 [

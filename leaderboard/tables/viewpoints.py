@@ -6,8 +6,11 @@ elevation need the data folder that a column was tested on.
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -15,13 +18,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from leaderboard.board import Column, own_columns, ranked
+from leaderboard.board import Column, ranked
 from leaderboard.comparison import counted
-from leaderboard.tables.layouts import Layout
-from leaderboard.words import interval, percent, row_title
+from leaderboard.tables.plain import csv_cell
 from partialbench.benchmark.records.predictions import Predictions
 from partialbench.benchmark.testing.metrics import VISIBILITY_EDGES, best_pose_errors_deg
-from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
+from partialbench.benchmark.testing.uncertainty import bootstrap_intervals, median_interval
 
 FRACTION, DISTANCE, ELEVATION = "visible fraction", "distance", "elevation"
 EDGES: dict[str, tuple[float, ...]] = {
@@ -31,7 +33,7 @@ EDGES: dict[str, tuple[float, ...]] = {
 }
 """Quantity → the bounds of its bins: a share; object units, an object's radius being 1; degrees of
 the camera above the object's horizon."""
-LEAST = 10
+LEAST = 20
 """Clouds that a bin needs to be told of."""
 
 
@@ -48,7 +50,8 @@ class Place(NamedTuple):
 
     Attributes:
         low, high: 95 % interval of the accuracy, bootstrap over objects; NaN for one object.
-        pose_deg: median pose error in degrees; None for a row without pose.
+        pose_deg, pose_low, pose_high: median pose error in degrees and its interval, made alike;
+            None for a row without pose.
     """
 
     start: float
@@ -57,7 +60,9 @@ class Place(NamedTuple):
     accuracy: float
     low: float
     high: float
-    pose_deg: float | None
+    pose_deg: float | None = None
+    pose_low: float | None = None
+    pose_high: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,28 +91,32 @@ def quantities(predictions: Predictions, test_set: TestSet | None) -> dict[str, 
     return found
 
 
-def curve(
+def curves_over(
     values: NDArray, right: NDArray, object_ids: NDArray, edges: Sequence[float],
-    pose_deg: NDArray | None = None,
-) -> list[Place]:  # fmt: skip
-    """Accuracy and pose error in each bin [edge, next edge) with ``LEAST`` clouds, the last closed.
+    pose_deg: Sequence[NDArray | None],
+) -> list[list[Place]]:  # fmt: skip
+    """For each of R rows its bins [edge, next edge) with ``LEAST`` clouds, the last one closed.
 
     Args:
-        values: (M,) of the quantity. right: (M,) share of seeds that are right.
-        pose_deg: (M,) pose errors, or None.
+        values: (M,) of the quantity. right: (M,R) share of seeds that are right.
+        pose_deg: for each row its (M,) pose errors, or None.
     """
-    found = []
+    found: list[list[Place]] = [[] for _ in pose_deg]
     for start, end in itertools.pairwise(edges):
         last = end == edges[-1]
         inside = (values >= start) & ((values <= end) if last else (values < end))
-        if inside.sum() < LEAST:
+        clouds = int(inside.sum())
+        if clouds < LEAST:
             continue
-        ((low, high),) = bootstrap_intervals(right[inside][:, None], object_ids[inside])
-        error = None if pose_deg is None else float(np.median(pose_deg[inside]))
-        found.append(
-            Place(start, end, int(inside.sum()), float(right[inside].mean()), float(low),
-                  float(high), error)
-        )  # fmt: skip
+        means = right[inside].mean(axis=0)
+        bounds = bootstrap_intervals(right[inside], object_ids[inside])
+        for row, errors in enumerate(pose_deg):
+            pose: tuple[float | None, ...] = ()
+            if errors is not None:
+                pose = (float(np.median(errors[inside])),
+                        *median_interval(errors[inside], object_ids[inside]))  # fmt: skip
+            low, high = map(float, bounds[row])
+            found[row].append(Place(start, end, clouds, float(means[row]), low, high, *pose))
     return found
 
 
@@ -121,54 +130,50 @@ def find_curves(
         test_sets: data at hand; each stands for the columns with its digest.
     """
     by_digest = {each.digest: each for each in test_sets}
-    found = []
-    for column in own_columns(board):
-        test_set = by_digest.get(column.key[5])
-        rows: dict[str, dict[str, list[Place]]] = {}
-        for name in ranked(column):
-            seeds = [counted(result, folder) for result in column.cells[name].results]
-            first = seeds[0][0]
-            if (first.visible_fraction == 1).all():
-                break  # complete clouds
-            right = np.mean([p.predicted == label for p, label in seeds], axis=0)
-            posed = all(p.pose_bins.shape[1] for p, _ in seeds)
-            errors = np.mean([best_pose_errors_deg(p) for p, _ in seeds], axis=0) if posed else None
-            for quantity, values in quantities(first, test_set).items():
-                rows.setdefault(quantity, {})[name] = curve(
-                    values, right, first.object_ids, EDGES[quantity], errors
-                )
-        found += [Curves(column, quantity, each) for quantity, each in rows.items()]
-    return found
+    return [
+        curves
+        for column in board
+        for curves in _of_column(column, folder, by_digest.get(column.key[5]))
+    ]
 
 
-def as_layout(curves: Curves) -> Layout:
-    """Accuracies by bin, and the median pose error of a row that has one."""
-    bins = sorted({(p.start, p.end) for places in curves.rows.values() for p in places})
-    counts = {(p.start, p.end): p.clouds for places in curves.rows.values() for p in places}
-    rows = []
-    for name, places in curves.rows.items():
-        there = {(p.start, p.end): p for p in places}
-        rows.append(
-            [
-                row_title(curves.column.cells[name].results[0]),
-                *(_text(there.get(each)) for each in bins),
-            ]
+def _of_column(column: Column, folder: Path, test_set: TestSet | None) -> Iterator[Curves]:
+    names, right, errors = ranked(column), [], []
+    tested: Predictions | None = None
+    for name in names:
+        seeds = [counted(result, folder) for result in column.cells[name].results]
+        tested = seeds[0][0]
+        if (tested.visible_fraction == 1).all():
+            return  # complete clouds
+        right.append(np.mean([p.predicted == label for p, label in seeds], axis=0))
+        posed = all(p.pose_bins.shape[1] for p, _ in seeds)
+        errors.append(
+            np.mean([best_pose_errors_deg(p) for p, _ in seeds], axis=0) if posed else None
         )
-    return Layout(
-        f"Accuracy (%) by {curves.quantity}: {curves.column.title}",
-        "In brackets the 95 % interval over test objects; then the median pose error of a row that "
-        f"has a pose. Bins of at least {LEAST} clouds, their number in the head.",
-        ["model", *(f"{_head(*each)} ({counts[each]:,})" for each in bins)],
-        rows,
-    )
+    assert tested is not None, "a column has at least one row"
+    for quantity, values in quantities(tested, test_set).items():
+        found = curves_over(
+            values, np.stack(right, axis=1), tested.object_ids, EDGES[quantity], errors
+        )
+        if any(found):
+            yield Curves(column, quantity, dict(zip(names, found, strict=True)))
 
 
-def _head(start: float, end: float) -> str:
-    return f"{start:g} – {end:g}"
-
-
-def _text(place: Place | None) -> str:
-    if place is None:
-        return "–"
-    pose = "" if place.pose_deg is None else f", {place.pose_deg:.0f}°"
-    return f"{percent(place.accuracy, None)} ({interval(place.low, place.high)}){pose}"
+def as_csv(found: Sequence[Curves]) -> str:
+    """One line for each bin of each row's curves; shares in [0, 1], angles in degrees."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["column", "quantity", "from", "to", "row", "clouds", "accuracy", "interval_low",
+         "interval_high", "pose_median_deg", "pose_low", "pose_high"]
+    )  # fmt: skip
+    for curves in found:
+        for name, places in curves.rows.items():
+            for p in places:
+                figures = (p.accuracy, p.low, p.high, p.pose_deg, p.pose_low, p.pose_high)
+                writer.writerow(
+                    [csv_cell(curves.column.title), curves.quantity, f"{p.start:g}", f"{p.end:g}",
+                     csv_cell(name), p.clouds,
+                     *("" if f is None or math.isnan(f) else f"{f:.6f}" for f in figures)]
+                )  # fmt: skip
+    return text.getvalue()

@@ -62,6 +62,7 @@ def leaderboard(
     data: Sequence[Path | str] = (),
     figures: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
+    look_in: Sequence[Path | str] = (),
 ) -> Board:
     """The tables of a folder of records: what ``partialbench leaderboard`` writes.
 
@@ -71,6 +72,8 @@ def leaderboard(
         data: data folders the records were tested on, for the clouds of the page's gallery.
         figures: as SVG and PNG too.
         on_progress: called with (steps done, steps in all).
+        look_in: folders whose subfolders may be data the records were tested on: their cameras are
+            used, and clouds shown where the data are built in. Those beside the records are found.
 
     Raises:
         InputError: no records, or some that cannot be trusted.
@@ -87,4 +90,4 @@ def leaderboard(
             f"{type(results).__name__}: a table is made from the stored predictions"
         )
     make = registry.load(registry.BOARD_FILES)
-    return Board(make(results, check, data, figures, on_progress))
+    return Board(make(results, check, data, figures, on_progress, look_in))

@@ -29,6 +29,10 @@ def leaderboard(
     data: Annotated[
         list[Path] | None, typer.Option(help="data folders, for the clouds of the page's gallery")
     ] = None,
+    look_in: Annotated[
+        list[Path] | None,
+        typer.Option(help="folders to look through for data: cameras for all, built-in clouds too"),
+    ] = None,
     figures: Annotated[
         bool, typer.Option("--figures", help="write figures too, as SVG and PNG")
     ] = False,
@@ -38,7 +42,10 @@ def leaderboard(
     from partialbench.benchmark.board import leaderboard as make
 
     bar = counting_bar(stderr, "leaderboard")
-    board = make(results, check=check, data=tuple(data or ()), figures=figures, on_progress=bar)
+    board = make(
+        results, check=check, data=tuple(data or ()), figures=figures, on_progress=bar,
+        look_in=tuple(look_in or ()),
+    )  # fmt: skip
     page, *_ = board.save(out)
     print(page)
 

@@ -21,12 +21,19 @@ File = Annotated[Path, typer.Argument(help="a campaign file (.toml)")]
 @campaign.command(
     name="status", epilog="Example: `partialbench campaign status leaderboard/campaign.toml`"
 )
-def show_status(file: File, as_json: Json = False) -> None:
+def show_status(
+    file: File,
+    save: Annotated[
+        bool, typer.Option("--save", help="write it beside the records, for the board to say")
+    ] = False,
+    as_json: Json = False,
+) -> None:
     """What is done, running, failed and missing, and hours to go by the recorded speeds."""
+    from partialbench.benchmark.campaign.declare import declare
     from partialbench.benchmark.campaign.file import load
     from partialbench.benchmark.campaign.status import status
 
-    found = status(load(file))
+    found = (declare if save else status)(load(file))
     print_result(found.as_dict(), as_json, found.as_text())
 
 

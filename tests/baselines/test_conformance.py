@@ -206,7 +206,7 @@ def answers_when_settled(model: nn.Module, points: Tensor) -> Tensor:
     return logits(model.eval(), points).argmax(dim=-1)
 
 
-NEAR_TIES = {"local-to-global": 0.9}
+NEAR_TIES = {"local-to-global": 0.9, "pari-conv": 0.9}
 """Share of clouds that must keep their answers: of the others, by these weights, two neighbours
 among features are as far to seven digits, and the turned coordinates' own rounding chooses."""
 

@@ -14,10 +14,11 @@ import pytest
 
 from partialbench.benchmark.campaign import run as running
 from partialbench.benchmark.campaign import worker
+from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.file import load
 from partialbench.benchmark.campaign.jobs import FAILURES, all_jobs, from_dict
 from partialbench.benchmark.campaign.status import status
-from partialbench.benchmark.records import results
+from partialbench.benchmark.records import declared, results
 from partialbench.benchmark.records.trials import FILE, read_trials
 from partialbench.benchmark.training.train import DivergedError
 from partialbench.dataset.lock import sole_user
@@ -96,6 +97,36 @@ def test_all_that_is_missing_is_done_the_lowest_milestone_first(campaign, in_thi
     in_this_process.clear()
     running.run(campaign, jobs=1)
     assert in_this_process == []
+
+
+def test_what_it_asks_for_stands_beside_the_records(campaign, in_this_process, monkeypatch):
+    train = worker._work
+
+    def diverges(job, order, stop):
+        if job.model.endswith("Bare") and job.clouds == 64 and job.kind == "train":
+            raise DivergedError("the training loss became nan")
+        train(job, order, stop)
+
+    monkeypatch.setattr(worker, "_work", diverges)
+    declare(campaign)
+    before = declared.read_folder(campaign.results)
+    # Two rows at two milestones; the later test on other data is a row too, fewer points are none.
+    assert len(before) == 5
+    assert {each.state for each in before} == {"missing"}
+    running.run(campaign, jobs=1)
+    path = campaign.results / "board.campaign.json"
+    after, written = declared.read(path), path.read_bytes()
+    stood = {(each.model.partition(":")[2], each.test_data, each.clouds): each for each in after}
+    assert stood["Bare", "toy", 64].state == "failed"
+    assert stood["Bare", "toy", 64].reason == "the training loss became nan"
+    assert stood["Posed", "other", 64].state == "done"
+    records = {(r.row, r.test_data.digest, r.protocol_digest, r.clouds)
+               for r in results.read_folder(campaign.results) if not r.conditions}  # fmt: skip
+    done = {(each.row, each.test_digest, each.protocol_digest, each.clouds)
+            for each in after if each.state == "done"}  # fmt: skip
+    assert done <= records
+    declare(campaign)
+    assert path.read_bytes() == written
 
 
 def test_hours_to_go_come_from_recorded_speeds(campaign, in_this_process):

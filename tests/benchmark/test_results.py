@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import shutil
 from pathlib import Path
@@ -57,6 +58,22 @@ def test_predictions_must_be_there_and_be_the_records_own(done, tmp_path):
     (folder / a.predictions_file).unlink()
     with pytest.raises(InputError, match="is missing"):
         results.read_predictions(folder, a)
+
+
+def test_a_record_says_the_day_of_its_test_and_older_ones_say_none(done, tmp_path):
+    folder = copy_of(done, tmp_path)
+    today = datetime.datetime.now(datetime.UTC).date()
+    days = {str(today), str(today - datetime.timedelta(days=1))}  # begun before midnight
+    path = sorted(folder.glob("*.json"))[0]
+    assert results.read(path).date in days
+    record = json.loads(path.read_text())
+    del record["date"], record["record_sha256"]
+    path.write_text(json.dumps({**record, "record_sha256": results.record_digest(record)}))
+    assert results.read(path).date == ""
+    record["date"] = "28.11.2026"
+    path.write_text(json.dumps({**record, "record_sha256": results.record_digest(record)}))
+    with pytest.raises(InputError, match="an entry is not what it should be: date"):
+        results.read(path)
 
 
 def test_two_records_of_one_run_are_refused(done, tmp_path):

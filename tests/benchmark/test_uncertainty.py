@@ -13,6 +13,7 @@ from partialbench.benchmark.testing.uncertainty import (
     difference_intervals,
     holm,
     indistinguishable_groups,
+    median_interval,
     paired_p_value,
     paired_p_values,
     seed_test,
@@ -52,6 +53,20 @@ def test_degenerate_intervals():
     assert np.array_equal(*again)
     with pytest.raises(ValueError, match="M ≥ 1"):
         bootstrap_intervals(np.ones((0, 1)), np.zeros(0))
+
+
+def test_the_interval_of_a_median_resamples_whole_objects(rng):
+    values = rng.normal(size=2000)
+    low, high = median_interval(values, np.arange(2000))
+    half = 1.96 * np.sqrt(np.pi / 2 / 2000)  # of the median of many normal draws
+    assert low < np.median(values) < high
+    assert (high - low) / 2 == pytest.approx(half, rel=0.15)
+    # Copies of a cloud are no new objects: the same objects, four views each, know no more.
+    again = median_interval(np.repeat(values, 4), np.repeat(np.arange(2000), 4))
+    assert again == pytest.approx((low, high), abs=1e-9)
+    # Of three values each draw's median is one of them.
+    assert median_interval(np.array([1.0, 2.0, 9.0]), np.arange(3)) == (1.0, 9.0)
+    assert np.isnan(median_interval(np.ones(5), np.zeros(5))).all()
 
 
 def test_the_paired_test_equals_every_sign_pattern_counted():

@@ -68,7 +68,7 @@ def record(
     name: str, stored: Predictions, seed=0, data="pm40-parametric", digest="a", preset="board",
     test=None, test_digest="b", paper=None, title=None, variant="", options=None,
     points=None, sensor="", setting="partial", given_pose="", clouds=100, model_code="",
-    milestone=100_000, damage="", grid="",
+    milestone=100_000, damage="", grid="", date="",
 ) -> Result:  # fmt: skip
     card = ModelCard(
         name=name, entry=f"x:{name}", title=title or name.upper(), paper="Somebody et al., 2021",
@@ -101,6 +101,7 @@ def record(
         given_pose=given_pose,
         damage=damage,
         grid=grid,
+        date=date,
         model_code=model_code,
         training={"epochs": 2, "steps": plan.steps, "clouds_seen": plan.clouds_seen, "seconds": 1.5,
                   "clouds_per_second": 300.0, "train_loss": 0.5, "validation_accuracy": 0.7,

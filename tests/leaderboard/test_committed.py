@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from leaderboard import claims
 from leaderboard.build import build_leaderboard
 from leaderboard.excerpt import fill
 from partialbench.benchmark.records.results import SUFFIX
@@ -32,9 +33,16 @@ def test_the_tables_are_made_from_the_records_alone(rebuilt, name):
     assert (rebuilt / name).read_bytes() == (BOARD / name).read_bytes()
 
 
-def test_the_readme_shows_the_tables_that_the_records_make(rebuilt):
-    readme = (ROOT / "README.md").read_text()
-    tables = re.findall(r"<!-- leaderboard: .*? -->\n(.*?)<!-- end -->", readme, re.S)
+@pytest.mark.parametrize("page", ["README.md", "docs/sceptic.md"])
+def test_pages_show_the_tables_that_the_records_make(rebuilt, page):
+    text = (ROOT / page).read_text()
+    tables = re.findall(r"<!-- leaderboard: .*? -->\n(.*?)<!-- end -->", text, re.S)
+    assert tables
     # Header and rule, then the rows.
     assert all(len(table.splitlines()) > 2 for table in tables)
-    assert fill(readme, (rebuilt / "leaderboard.md").read_text()) == readme
+    assert fill(text, (rebuilt / "leaderboard.md").read_text()) == text
+
+
+def test_the_findings_answer_what_the_records_answer():
+    findings = (ROOT / "docs" / "findings.md").read_text()
+    assert claims.fill(findings, RECORDS) == findings

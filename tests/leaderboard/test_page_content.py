@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -16,11 +17,12 @@ from leaderboard import scaling
 from leaderboard.board import make_board
 from leaderboard.build import build_leaderboard
 from leaderboard.comparison import compare
-from leaderboard.page import html, rows
+from leaderboard.page import clouds, facts, html, rows
 from leaderboard.page.command import reproduce
 from leaderboard.page.content import Found, content, kind
 from partialbench.benchmark.protocol.protocol import protocol
 from partialbench.benchmark.records import results
+from partialbench.errors import InputError
 from tests.leaderboard.records import add, predictions, record, small_board
 
 
@@ -145,7 +147,7 @@ def test_boards_of_one_record_and_of_none_make_sense(tmp_path):
     (column,) = data_of(page)["columns"]
     assert column["facts"][0].endswith("it is the only model tested here.")
     assert column["rows"][0]["rank"] == 1
-    empty = content(Found([], [], [], [], [], [], [], []), tmp_path)
+    empty = content(Found([], [], [], [], [], [], [], [], [], []), tmp_path)
     assert empty["columns"] == []
     assert "Add a row" in html.render(empty)
 
@@ -169,6 +171,42 @@ def test_a_column_is_on_the_tab_of_what_it_tests(tmp_path):
     add(tmp_path, "good", 0.9, setting="aligned", digest="e")
     board = make_board(results.read_folder(tmp_path))
     assert sorted(map(kind, board)) == ["complete", "partial", "transfer"]
+
+
+def test_of_data_at_hand_the_cameras_are_used_and_clouds_shown_only_of_built_in_shapes(
+    built, tmp_path, monkeypatch
+):
+    results_of = built.parents[1] / "results"
+
+    def solids(**look):
+        (page, *_) = build_leaderboard(results_of, tmp_path / "out", **look)
+        (column,) = (c for c in data_of(page)["columns"] if c["group"].startswith("solids"))
+        places = {v["quantity"] for v in column["views"]} - {"visible fraction"}
+        return places, len(column["samples"])
+
+    cameras = {"distance", "elevation"}
+    assert solids() == (cameras, 0)  # the data folder lies beside the records
+    shutil.copytree(built.parents[1] / "data", tmp_path / "elsewhere" / "solids")
+    shutil.copytree(results_of, tmp_path / "records")
+    results_of = tmp_path / "records"
+    assert solids() == (set(), 0)
+    assert solids(look_in=[tmp_path / "elsewhere"]) == (cameras, 0)
+    with pytest.raises(InputError, match=r"no folder to look for data in at .*nowhere"):
+        solids(look_in=[tmp_path / "nowhere"])
+    monkeypatch.setattr(clouds, "LICENCE_CLEAN", ("solids",))
+    assert solids(look_in=[tmp_path / "elsewhere"])[1] > 0
+
+
+def test_what_accuracy_costs_is_one_sentence(tmp_path):
+    for name, accuracy in (("best", 0.9), ("lighter", 0.8), ("it", 0.3)):
+        add(tmp_path, name, accuracy, objects=100)
+    column = column_of(tmp_path)
+    found = rows.rows_of(column, compare(column, tmp_path), tmp_path)
+    (told,) = facts.cost(found)
+    assert told.startswith("BEST, the most accurate, takes 4.0 M multiply-adds a cloud; ")
+    assert "the cheapest, IT, 2.0 M multiply-adds at " in told
+    assert told.endswith("Of the 2 others 1 cost more than the first.")
+    assert facts.cost(found[:1]) == []
 
 
 def test_milestones_of_a_row_are_one_curve(tmp_path):

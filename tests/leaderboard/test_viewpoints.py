@@ -1,5 +1,6 @@
 """Accuracy over what a view shows, from records made up for it."""
 
+import csv
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,8 @@ from leaderboard.tables.viewpoints import (
     EDGES,
     ELEVATION,
     FRACTION,
-    as_layout,
-    curve,
+    as_csv,
+    curves_over,
     find_curves,
     quantities,
 )
@@ -62,16 +63,21 @@ def test_a_camera_above_has_a_positive_elevation(folder):
 
 
 def test_bins_hold_what_lies_in_them():
-    values = np.repeat([0.05, 0.15, 1.0], [12, 5, 20])
+    values = np.repeat([0.05, 0.15, 1.0], [24, 5, 20])
     right = np.where(values < 0.1, 0.25, 1.0)
     ids = np.arange(len(values)).astype(str)
-    first, last = curve(values, right, ids, EDGES[FRACTION], 100 * values)
-    assert (first.start, first.end, first.clouds, first.accuracy) == (0.0, 0.1, 12, 0.25)
-    assert first.pose_deg == pytest.approx(5)
+    posed, plain = curves_over(
+        values, np.stack([right, 0.5 * right], axis=1), ids, EDGES[FRACTION], [100 * values, None]
+    )
+    first, last = posed
+    assert (first.start, first.end, first.clouds, first.accuracy) == (0.0, 0.1, 24, 0.25)
+    assert (first.pose_deg, first.pose_low, first.pose_high) == pytest.approx((5, 5, 5))
     assert (last.start, last.end, last.clouds, last.accuracy) == (0.6, 1.0, 20, 1.0)
+    assert [place.accuracy for place in plain] == [0.125, 0.5]
+    assert plain[0].pose_deg is None
 
 
-def test_every_quantity_that_is_known_has_a_table(folder):
+def test_every_quantity_that_is_known_has_curves(folder):
     board = make_board(results.read_folder(folder))
     (fraction,) = find_curves(board, folder)
     assert fraction.quantity == FRACTION
@@ -82,9 +88,11 @@ def test_every_quantity_that_is_known_has_a_table(folder):
     _, views = views_of(120)
     found = find_curves(board, folder, [views])
     assert [each.quantity for each in found] == [FRACTION, DISTANCE, ELEVATION]
-    elevation = as_layout(found[2])
-    assert elevation.head[1].startswith("-90 – -60 (")
-    assert elevation.rows[0][0] == "POSED"
-    assert elevation.rows[0][1].endswith("°")
-    assert not elevation.rows[1][1].endswith("°")
-    assert len(elevation.head) == len(elevation.rows[0]) == 7
+    for place in found[2].rows["posed"]:
+        assert place.low <= place.accuracy <= place.high
+        assert place.pose_low <= place.pose_deg <= place.pose_high
+    lines = list(csv.DictReader(as_csv(found).splitlines()))
+    assert len(lines) == sum(len(places) for each in found for places in each.rows.values())
+    elevation = [line for line in lines if line["quantity"] == ELEVATION]
+    assert (elevation[0]["from"], elevation[0]["to"]) == ("-60", "-30")
+    assert {line["pose_median_deg"] for line in lines if line["row"] == "plain"} == {""}

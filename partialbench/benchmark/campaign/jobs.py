@@ -193,7 +193,7 @@ class Ledger:
                 self.unreadable.append(str(error))
         self._tried = {_of_trial(trial) for trial in read_trials(campaign.results / FILE)}
         self.failures = read_failures(campaign.results / FAILURES)
-        self._failed = {failure["job"] for failure in self.failures}
+        self._failed = {failure["job"]: str(failure["reason"]) for failure in self.failures}
 
     def is_done(self, job: Job) -> bool:
         """Whether every test of the job has its record (a trial: its line)."""
@@ -207,6 +207,11 @@ class Ledger:
     def has_failed(self, job: Job) -> bool:
         """Whether it, or an earlier milestone of its training, diverged or broke."""
         return any(key in self._failed for key in (failure_key(job), training_key(job)))
+
+    def failure_of(self, job: Job) -> str:
+        """Why it failed, as it was recorded; "" for one that has not."""
+        keys = (failure_key(job), training_key(job))
+        return next((self._failed[key] for key in keys if key in self._failed), "")
 
     def recipe_of(self, job: Job) -> str:
         """The whole recipe that a job trains by, as JSON text."""

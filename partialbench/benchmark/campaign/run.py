@@ -19,6 +19,7 @@ from typing import Any
 
 from partialbench import registry
 from partialbench.benchmark.campaign import jobs as job_files
+from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.file import Campaign, DataSet
 from partialbench.benchmark.campaign.jobs import FAILURES, Job, Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
@@ -90,7 +91,10 @@ def run(
         finally:
             runner.forget()
         if campaign.board is not None and any(campaign.results.glob("*.result.json")):
-            for path in registry.load(registry.LEADERBOARD)(campaign.results, campaign.board):
+            make = registry.load(registry.LEADERBOARD)
+            parents = dict.fromkeys(data.folder.parent for data in campaign.data.values())
+            look_in = [parent for parent in parents if parent.is_dir()]
+            for path in make(campaign.results, campaign.board, look_in=look_in):
                 log.info("wrote %s", path)
         if runner.unrendered:
             raise PartialbenchError(
@@ -161,7 +165,7 @@ class _Runner:
 
     def work(self, executor: Executor, width: int) -> bool:
         """Runs jobs until none is missing (True) or the time is over (False)."""
-        stopped, state = False, status(self.campaign)
+        stopped, state = False, declare(self.campaign)
         try:
             while True:
                 if not self.is_over() and not stopped:
@@ -175,7 +179,7 @@ class _Runner:
                 for future in done:
                     stopped |= self._end(future)
                 if done:
-                    state = status(self.campaign)
+                    state = declare(self.campaign)
                     self.say(f"{len(state.missing)} jobs, {state.hours:.1f} core hours to go")
         except BaseException:
             # Ctrl-C and whatever else: what runs saves its state first.

@@ -80,6 +80,8 @@ class Protocol:
     version: int = PROTOCOL_VERSION
 
     def __post_init__(self) -> None:
+        if not isinstance(self.preset, str) or not self.preset:
+            raise InputError(f"preset must be a name, got {self.preset!r}")
         # One kind for each number: 0 and 0.0 are one protocol, and are to have one digest.
         for name, least in _LEAST.items():
             value = getattr(self, name)

@@ -33,7 +33,7 @@ PREDICTIONS_SUFFIX = ".predictions.npz"
 INDEPENDENT = 1e-3
 """How far a company audit's logits may move, as a share of their size, for an answer to be a
 cloud's own: rounding moves them by less, another batch-mate by more."""
-LATER = {"damage", "grid"}
+LATER = {"damage", "grid", "date"}
 """Fields that records written before there was such a thing have not, and mean their default."""
 LONGEST_ROW = 80
 """Characters of a row's name in a file name; the digest at its end tells the rest apart."""
@@ -98,6 +98,8 @@ class Result:
             for nothing, as ever but for such a test.
         damage: what was done to the test clouds, see ``damage.parse``; "" for nothing.
         grid: the cell of a grid that it was tested on, see ``dataset.grid``; "" for none.
+        date: "2026-11-28", the day in UTC on which it was tested; "" in records from before there
+            was such a field.
         clouds: the milestone it was trained to; ``training["clouds_seen"]`` is the exact number.
         training: see ``train.Trained.summary``.
         weights_sha256: of the tensors that were tested.
@@ -135,6 +137,7 @@ class Result:
     scores: dict[str, Any]
     damage: str = ""
     grid: str = ""
+    date: str = ""
 
     @property
     def row(self) -> str:

@@ -16,6 +16,7 @@ Positive = Annotated[int, Field(ge=1)]
 Amount = Annotated[float, Field(ge=0)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Code = Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")]
+Day = Annotated[str, Field(pattern=r"^(\d{4}-\d{2}-\d{2})?$")]
 OptionalShare = Share | None
 
 
@@ -194,6 +195,7 @@ class RecordFile(TypedDict):
     given_pose: str
     damage: NotRequired[str]
     grid: NotRequired[str]
+    date: NotRequired[Day]
     model_code: Code
     weights_sha256: Digest
     training: Training

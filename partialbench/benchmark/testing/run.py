@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import functools
 import logging
 from collections.abc import Mapping, Sequence
@@ -133,6 +134,7 @@ def _test(
         given_pose=pose,
         damage=damaged,
         grid=test_set.grid,
+        date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         training=content["summary"],
         **measured,
         environment=environment.describe(fabric.device),
