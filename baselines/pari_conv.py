@@ -78,7 +78,7 @@ class Layers(nn.Module):
         f = F.leaky_relu(self.first.max(edges.unflatten(0, near.shape)), SLOPE)
         features = [f]
         for conv in self.convs:
-            near = knn(f.detach().double(), self.k + 1, nearest_first=True)[..., 1:]
+            near = knn(f.detach().double(), self.k + 1)[..., 1:]
             f = conv(f, near, self.pose(x, axes, mean, near).to(dtype))
             features.append(f)
         return torch.cat(features, dim=-1)

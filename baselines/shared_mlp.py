@@ -9,7 +9,7 @@ so the norm's scale and shift are known before y is, and fold into the weights: 
 gives the normalised value, and a maximum over points can be taken without keeping y. Cov(x) costs
 C_in² multiplications a row and its gradient as many again; where y has few channels for that and is
 kept anyway, its variance is summed from y itself, which comes out of the product centred
-(``_NormActivate``). The results are those of ``nn.Linear`` followed by ``nn.BatchNorm1d``,
+(``norm_activate``). The results are those of ``nn.Linear`` followed by ``nn.BatchNorm1d``,
 gradients and running statistics included, up to rounding.
 
 Layout: channels last, (…,C).
@@ -22,13 +22,13 @@ from itertools import pairwise
 from typing import Any
 
 import torch
-import torch.distributed as dist
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from baselines.balls import Balls
-from baselines.processes import pooled, world_size
+from baselines.norm_activate import NormActivate, activate_, column_sums
+from baselines.processes import pooled
 
 CHUNK, DEVICE_CHUNK = 1 << 20, 1 << 26
 """Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache, and on
@@ -93,98 +93,6 @@ class _Moments(torch.autograd.Function):
 def moments(rows: Tensor) -> tuple[Tensor, Tensor]:
     """Mean (C,) and covariance (C,C), divided by the count, of rows (R,C)."""
     return _Moments.apply(rows, len(rows), None)
-
-
-class _NormActivate(torch.autograd.Function):
-    """Batch norm and leaky ReLU of y + centre, rows (R,C), y centred: its mean is ``centre``.
-
-    apply(y, gain, bias, centre and constant (C,), w (R,) or None, count, eps, slope) → the rows,
-    and mean, variance and count over the values of all processes. Row r counts w_r times of
-    ``count``. The norm cancels the constant, which therefore has a gradient of zero, or is None.
-    """
-
-    @staticmethod
-    def forward(
-        ctx: Any, y: Tensor, gain: Tensor, bias: Tensor, centre: Tensor, constant: Tensor | None,
-        w: Tensor | None, count: int, eps: float, slope: float,
-    ) -> tuple[Tensor, Tensor, Tensor, int | Tensor]:  # fmt: skip
-        parts = _small_chunks(y)
-        square = torch.zeros_like(centre)
-        for part in parts:
-            values = y[part].to(centre.dtype)
-            square += _column_sums(values * values, None if w is None else w[part])
-        mean, var, total = pooled(centre, square / count, count)
-        inverse = torch.rsqrt(var + eps)
-        scale, off = gain * inverse, centre - mean
-        shift = torch.addcmul(bias, scale, off)
-        out = torch.empty_like(y)
-        for part in parts:
-            if y.dtype == scale.dtype:
-                _activate(torch.addcmul(shift, y[part], scale, out=out[part]), slope)
-            else:
-                out[part] = _activate(torch.addcmul(shift, y[part], scale), slope)
-        ctx.save_for_backward(y, out, scale, inverse, off, w)
-        ctx.total, ctx.slope, ctx.constant = total, slope, constant is not None
-        mean = mean if constant is None else mean + constant
-        ctx.mark_non_differentiable(mean, var)
-        return out, mean, var, total
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, d_out: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
-        y, out, scale, inverse, off, w = ctx.saved_tensors
-        parts = _small_chunks(y)
-        d_y = torch.empty_like(y)
-        sums = scale.new_zeros(2, len(scale))
-        for part in parts:
-            d = _before(d_out[part], out[part], ctx.slope, d_y[part])
-            sums[0] += d.sum(dim=0, dtype=scale.dtype)
-            sums[1] += (d.to(scale.dtype) * y[part]).sum(dim=0)
-        sums[1] += off * sums[0]
-        d_bias, d_gain = sums[0].clone(), sums[1] * inverse
-        if world_size() > 1:
-            dist.all_reduce(sums)
-        # Mean and variance move with every row: less their share, one flat and one along y.
-        along = scale * inverse.square() * sums[1] / ctx.total
-        flat = scale * sums[0] / ctx.total + along * off
-        for part in parts:
-            share = torch.addcmul(flat, y[part], along)
-            if w is not None:
-                share.mul_(w[part, None])
-            if y.dtype == scale.dtype:
-                d_y[part].mul_(scale).sub_(share)
-            else:
-                d_y[part] = share.neg_().addcmul_(d_y[part].to(scale.dtype), scale)
-        return (
-            d_y, d_gain, d_bias, None, torch.zeros_like(scale) if ctx.constant else None, None,
-            None, None, None,
-        )  # fmt: skip
-
-
-def _small_chunks(y: Tensor) -> list[slice]:
-    """Of rows that several operands share a cache with."""
-    return chunks(len(y), 8 * y.shape[1], y.device)
-
-
-def _column_sums(values: Tensor, w: Tensor | None) -> Tensor:
-    """(C,) of (R,C), row r taken w_r times."""
-    return values.sum(dim=0) if w is None else w @ values
-
-
-def _activate(values: Tensor, slope: float) -> Tensor:
-    """Leaky ReLU in place; the slope is 1 for none."""
-    if slope == 1:
-        return values
-    return F.leaky_relu_(values, slope) if slope else values.relu_()
-
-
-def _before(d: Tensor, out: Tensor, slope: float, into: Tensor) -> Tensor:
-    """The gradient before a leaky ReLU from that after it and its values, written to ``into``."""
-    if slope == 1:
-        return into.copy_(d)
-    if slope:
-        return torch.ops.aten.leaky_relu_backward.grad_input(d, out, slope, True, grad_input=into)
-    return torch.ops.aten.threshold_backward.grad_input(d, out, 0, grad_input=into)
 
 
 def accumulator(weight: Tensor) -> Tensor:
@@ -348,18 +256,20 @@ class NormLinear(Normed):
         if not self.norm.training or inputs**2 <= COVARIANCE_BELOW * outputs:
             y = F.linear(x.reshape(-1, inputs), *self.folded(x, balls))
             # On rows: in place on a view autograd copies the gradient.
-            return _activate(y, slope).view(*x.shape[:-1], outputs)
+            return activate_(y, slope).view(*x.shape[:-1], outputs)
         rows = x.reshape(-1, inputs)
         count = len(rows) if balls is None else balls.index.numel()
         weight, bias, norm = self.linear.weight, self.linear.bias, self.norm
         with torch.no_grad(), torch.autocast(x.device.type, enabled=False):
             w = None if balls is None else balls.weight.to(weight.dtype)
-            centre = weight @ (_column_sums(rows.to(weight.dtype), w) / count)
+            centre = weight @ (column_sums(rows.to(weight.dtype), w) / count)
         # The norm cancels whatever is constant: no gradient goes there, and the bias has none.
         y = F.linear(rows, weight, -centre)
-        out, mean, var, total = _NormActivate.apply(
-            y, norm.weight, norm.bias, centre, bias, w, count, norm.eps, slope
-        )
+        with torch.autocast(x.device.type, enabled=False):
+            out, mean, var, total = NormActivate.apply(
+                y, norm.weight, norm.bias, centre, bias, w, count, norm.eps, slope,
+                chunks(len(y), 8 * outputs, y.device),  # several operands share a cache
+            )  # fmt: skip
         self._track(mean, var, total)
         return out.view(*x.shape[:-1], outputs)
 
