@@ -58,7 +58,8 @@ def run_missing(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds' (repeatable)",
+            help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds' (repeatable; "
+            "what fits an earlier one comes first)",
             show_default="all",
         ),
     ] = None,
@@ -70,7 +71,7 @@ def run_missing(
         str | None, typer.Option(help="send trainings to the Dask cluster at this address")
     ] = None,
     retry_failed: Annotated[
-        bool, typer.Option(help="try again what is recorded as failed")
+        bool, typer.Option(help="try again what is recorded as failed, of what --only names")
     ] = False,
     as_json: Json = False,
 ) -> None:

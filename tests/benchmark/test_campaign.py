@@ -169,6 +169,26 @@ def test_a_diverged_training_is_recorded_and_the_rest_goes_on(
     assert not (campaign.results / FAILURES).exists()
 
 
+def test_failures_that_are_left_out_keep_their_record(campaign, in_this_process, monkeypatch):
+    train = worker._work
+
+    def breaks(job, order, stop):
+        raise RuntimeError("no more")
+
+    monkeypatch.setattr(worker, "_work", breaks)
+    assert len(running.run(campaign, jobs=1).failed) == 5
+    monkeypatch.setattr(worker, "_work", train)
+    after = running.run(campaign, jobs=1, only=["*Bare"], retry_failed=True)
+    assert {job.model for job in after.failed} == {f"{MODELS}:Posed"}
+    assert {job.model for job in after.done} == {f"{MODELS}:Bare"}
+
+
+def test_an_earlier_pattern_comes_first_within_a_milestone(campaign, in_this_process):
+    running.run(campaign, jobs=1, only=["*Posed", "*Bare"])
+    assert in_this_process[:2] == [("train", "Posed", 32), ("train", "Bare", 32)]
+    assert in_this_process[2] == ("train", "Posed", 64)
+
+
 def test_data_that_cannot_be_rendered_cost_their_own_jobs_alone(campaign, in_this_process):
     shutil.rmtree(campaign.work / "data" / "other")
     text = campaign.path.read_text()

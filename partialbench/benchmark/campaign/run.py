@@ -61,11 +61,11 @@ def run(
     Args:
         jobs: how many side by side; by default one a core, on CUDA one.
         only: patterns of model names, "papnet*", or of model and data set, "papnet*@clouds"; all
-            without one.
+            without one. Of one milestone, jobs that fit an earlier pattern are begun first.
         time_limit_s: after so long every training saves its state and the campaign ends.
         scheduler: of a Dask cluster whose workers see the same folders; ``jobs`` is then by default
             as many as it has threads.
-        retry_failed: try jobs again that are recorded as failed.
+        retry_failed: try jobs again that are recorded as failed, of those that ``only`` names.
         say: told in one line what begins, what ended and how much is to go.
 
     Returns:
@@ -82,7 +82,15 @@ def run(
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
     with sole_user(campaign.work, "working on", "give it a folder of its own"):
         if retry_failed:
-            job_files.write_failures(campaign.results / FAILURES, [])
+            # What --only leaves out keeps its record: it is not tried now.
+            failures = campaign.results / FAILURES
+            tried = {
+                key for job in job_files.all_jobs(campaign)
+                if _matches(job, only) is not None
+                for key in (job_files.failure_key(job), job_files.training_key(job))
+            }  # fmt: skip
+            kept = [f for f in job_files.read_failures(failures) if f["job"] not in tried]
+            job_files.write_failures(failures, kept)
         runner = _Runner(campaign, device, only, deadline, say)
         try:
             with _executor(scheduler, jobs, device) as (executor, width):
@@ -102,9 +110,9 @@ def run(
                 + "; ".join(runner.unrendered.values())
             )
         if not ended:
+            why = "the time limit is over" if runner.is_over() else "a training was stopped"
             raise TimeLimitError(
-                f"the time limit is over; {len(status(campaign).missing)} jobs are left. The same "
-                f"command goes on"
+                f"{why}; {len(status(campaign).missing)} jobs are left. The same command goes on"
             )
     return status(campaign)
 
@@ -125,6 +133,13 @@ def _check_options(campaign: Campaign) -> None:
                     f"that it takes, and without those that are its defaults, they are {chosen}: "
                     f"write them so"
                 )
+
+
+def _matches(job: Job, only: Sequence[str]) -> int | None:
+    """The number of the first pattern that a job fits, 0 where there are none, or None."""
+    name = f"{job.model}@{job.data}"
+    patterns = [each if "@" in each else f"{each}@*" for each in only] or ["*"]
+    return next((i for i, pattern in enumerate(patterns) if fnmatchcase(name, pattern)), None)
 
 
 class _Runner:
@@ -148,9 +163,7 @@ class _Runner:
         needed = {job.data, *(test.data for test in job.tests if not test.cell)}
         if not needed.isdisjoint(self.unrendered):
             return False
-        name = f"{job.model}@{job.data}"
-        patterns = [each if "@" in each else f"{each}@*" for each in self.only]
-        return not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
+        return _matches(job, self.only) is not None
 
     def render(self, workers: int, scheduler: str | None) -> None:
         """Makes the data sets that some missing job needs, one after the other."""
@@ -201,10 +214,11 @@ class _Runner:
     def _next(self, state: Status, width: int) -> list[Job]:
         busy = {job.training for job in self.running.values()}
         chosen: list[Job] = []
-        for job in state.missing:
+        wanted = [job for job in state.missing if self.wanted(job)]
+        for job in sorted(wanted, key=lambda job: (job.clouds, _matches(job, self.only) or 0)):
             if len(self.running) + len(chosen) >= width:
                 break
-            if self.wanted(job) and job.training not in busy and job not in self.running.values():
+            if job.training not in busy and job not in self.running.values():
                 chosen.append(job)
                 busy.add(job.training)
         return chosen
