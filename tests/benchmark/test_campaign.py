@@ -173,7 +173,7 @@ def test_failures_that_are_left_out_keep_their_record(campaign, in_this_process,
     train = worker._work
 
     def breaks(job, order, stop):
-        raise RuntimeError("no more")
+        raise DivergedError("the training loss became nan")
 
     monkeypatch.setattr(worker, "_work", breaks)
     assert len(running.run(campaign, jobs=1).failed) == 5
