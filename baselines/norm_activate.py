@@ -41,7 +41,8 @@ class NormActivate(torch.autograd.Function):
                 activate_(torch.addcmul(shift, y[part], scale, out=out[part]), slope)
             else:
                 out[part] = activate_(torch.addcmul(shift, y[part], scale), slope)
-        ctx.save_for_backward(y, out, scale, inverse, off, w)
+        # Without an activation it is not needed, and the caller may write over it.
+        ctx.save_for_backward(y, out if slope != 1 else None, scale, inverse, off, w)
         ctx.total, ctx.slope, ctx.constant = total, slope, constant is not None
         ctx.parts = parts
         mean = mean if constant is None else mean + constant
@@ -56,7 +57,8 @@ class NormActivate(torch.autograd.Function):
         d_y = torch.empty_like(y)
         sums = scale.new_zeros(2, len(scale))
         for part in parts:
-            d = _before(d_out[part], out[part], ctx.slope, d_y[part])
+            after = None if out is None else out[part]
+            d = _before(d_out[part], after, ctx.slope, d_y[part])
             sums[0] += d.sum(dim=0, dtype=scale.dtype)
             sums[1] += (d.to(scale.dtype) * y[part]).sum(dim=0)
         sums[1] += off * sums[0]
@@ -92,9 +94,9 @@ def activate_(values: Tensor, slope: float) -> Tensor:
     return F.leaky_relu_(values, slope) if slope else values.relu_()
 
 
-def _before(d: Tensor, out: Tensor, slope: float, into: Tensor) -> Tensor:
+def _before(d: Tensor, out: Tensor | None, slope: float, into: Tensor) -> Tensor:
     """The gradient before a leaky ReLU from that after it and its values, written to ``into``."""
-    if slope == 1:
+    if out is None:
         return into.copy_(d)
     if slope:
         return torch.ops.aten.leaky_relu_backward.grad_input(d, out, slope, True, grad_input=into)
