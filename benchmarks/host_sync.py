@@ -35,6 +35,12 @@ CLOUDS, POINTS, NUM_CLASSES = 4, 256, 40
 ROOT = Path(__file__).resolve().parent.parent
 
 
+def _is_ours(path: Path) -> bool:
+    """Whether a file is of this tree; an environment within it is not, nor is this file."""
+    libraries = {"site-packages", "dist-packages"}
+    return path.is_relative_to(ROOT) and libraries.isdisjoint(path.parts) and path != Path(__file__)
+
+
 class FetchedError(RuntimeError):
     """Values were brought from the device to the host."""
 
@@ -89,7 +95,7 @@ def first_wait(name: str, **options: Any) -> str | None:
     except (DataDependentOutputException, DynamicOutputShapeException, FetchedError) as error:
         frames = [
             frame for frame in traceback.extract_tb(error.__traceback__)
-            if Path(frame.filename).is_relative_to(ROOT) and frame.filename != __file__
+            if _is_ours(Path(frame.filename))
         ]  # fmt: skip
         place = frames[-1]
         path = Path(place.filename).relative_to(ROOT)
@@ -104,7 +110,7 @@ def main() -> None:
     for name in parser.parse_args().models:
         wait = first_wait(name)
         waiting += wait is not None
-        sys.stdout.write(f"{name:<24}{wait or 'never waits'}\n")
+        sys.stdout.write(f"{name:<24} {wait or 'never waits'}\n")
         sys.stdout.flush()
     sys.exit(1 if waiting else 0)
 

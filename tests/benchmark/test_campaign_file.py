@@ -200,8 +200,8 @@ def test_the_board_tests_its_rows_under_all_damages_and_on_a_grid():
     for data, count in tested.items():
         jobs = [
             j for j in all_jobs(campaign)
-            if (j.data, j.clouds, j.seed, j.kind) == (data, 25_000, 0, "train")
+            if (j.data, j.clouds, j.seed, j.kind) == (data, 100_000, 0, "train")
         ]  # fmt: skip
         found = {j.model: sum(bool(t.damage or t.cell) for t in j.tests) for j in jobs}
-        assert len(found) == 23
-        assert {model for model, tests in found.items() if tests != count} == {"riconv2-normals"}
+        assert len(found) == 24
+        assert {model for model, tests in found.items() if tests < count} == {"riconv2-normals"}
