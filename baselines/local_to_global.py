@@ -8,9 +8,8 @@ precision: where rounding chose a neighbour, a turned cloud would get another an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -76,6 +75,46 @@ class Geometry:
     def pose(self, axis: Tensor, index: Tensor) -> Tensor:
         """Rows (R,8) of the edges, by axes or normals; see ``pose_features``."""
         return pose_features(self.points, axis, self.mean, index).flatten(0, 2)
+
+
+def neighbourhoods(points: Tensor, k: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Clouds (B,N,3) in the unit ball, each point's nearest (B,N,M), itself first, and these as the
+    point sees them (B,N,M,3); float64. M is what axes, means and k others need.
+
+    Raises:
+        InputError: for clouds of k points or fewer.
+    """
+    number = points.shape[1]
+    if number <= k:
+        raise InputError(f"{k} neighbours need clouds of at least {k + 1} points, got {number}")
+    x = normalise(points.double(), radius=1.0)
+    most = min(max(MEAN_NEIGHBOURS, k + 1), number)
+    near = distances(x, x).topk(most, dim=-1, largest=False).indices
+    return x, near, gather(x, near) - x[:, :, None]
+
+
+def oriented_axes(points: Tensor, x: Tensor, relative: Tensor, orient: str) -> Tensor:
+    """Local axes (B,N,3) that point away from the centroid, or ("camera") towards the camera.
+
+    Args:
+        points: clouds in the camera frame. x, relative: see ``neighbourhoods``.
+    """
+    away = -camera_ray(points)[:, None].double() if orient == "camera" else x
+    return facing(local_axes(relative[:, :, :AXIS_NEIGHBOURS]), away)
+
+
+def point_features(x: Tensor, axes: Tensor) -> Tensor:
+    """(B,N,3): distance from the centroid, cosine and sine of the axis against the way to it."""
+    ray = unit(x)
+    sine = torch.linalg.vector_norm(torch.linalg.cross(axes, ray, dim=-1), dim=-1)
+    return torch.stack([torch.linalg.vector_norm(x, dim=-1), dot(axes, ray), sine], dim=-1)
+
+
+def in_double(module: nn.Module) -> Callable[..., Any]:
+    """The module in double precision: in evaluation, rounding is not to choose neighbours."""
+    named = chain(module.named_parameters(), module.named_buffers())
+    state = {name: t.double() if t.is_floating_point() else t for name, t in named}
+    return lambda *inputs: functional_call(module, state, inputs)
 
 
 def pose_features(points: Tensor, axis: Tensor, mean: Tensor, index: Tensor) -> Tensor:
@@ -267,27 +306,15 @@ class LocalToGlobal(nn.Module):
     @torch.no_grad()
     def geometry(self, points: Tensor, normals: Tensor | None = None) -> Geometry:
         """Of clouds (B,N,3) in the camera frame, and their normals (B,N,3)."""
-        number = points.shape[1]
-        if number <= self.k:
-            raise InputError(
-                f"{self.k} neighbours need clouds of at least {self.k + 1} points, got {number}"
-            )
-        x = normalise(points.double(), radius=1.0)
-        most = min(max(MEAN_NEIGHBOURS, self.k + 1), number)
-        near = distances(x, x).topk(most, dim=-1, largest=False).indices
-        relative = gather(x, near) - x[:, :, None]
+        x, near, relative = neighbourhoods(points, self.k)
         if "signs" in self.quirks:
             # In the release's precision: another leaves other signs.
             axes = local_axes(relative[:, :, :AXIS_NEIGHBOURS].float()).double()
         else:
-            away = -camera_ray(points)[:, None].double() if self.orient == "camera" else x
-            axes = facing(local_axes(relative[:, :, :AXIS_NEIGHBOURS]), away)
+            axes = oriented_axes(points, x, relative, self.orient)
         mean = unit(relative[:, :, :MEAN_NEIGHBOURS].mean(dim=2))
         normals = axes if normals is None else unit(normals.double())
-        ray = unit(x)
-        sine = torch.linalg.vector_norm(torch.linalg.cross(axes, ray, dim=-1), dim=-1)
-        features = torch.stack([torch.linalg.vector_norm(x, dim=-1), dot(axes, ray), sine], dim=-1)
-        others = near[..., 1 : self.k + 1]
+        others, features = near[..., 1 : self.k + 1], point_features(x, axes)
         return Geometry(x, self.in_own_axes(x), axes, normals, mean, others, features)
 
     def in_own_axes(self, x: Tensor) -> Tensor:
@@ -306,7 +333,7 @@ class LocalToGlobal(nn.Module):
     def forward(self, points: Tensor, normals: Tensor | None = None) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k, and their normals (B,N,3) → logits (B,K)."""
         geometry = self.geometry(points, normals)
-        trunk = self.trunk if self.training else partial(functional_call, self.trunk, self._state())
+        trunk = self.trunk if self.training else in_double(self.trunk)
         # Autocast would mix eight bits into what evaluation does in double.
         autocast = torch.is_autocast_enabled(points.device.type) and self.training
         with torch.autocast(points.device.type, enabled=autocast):
@@ -318,11 +345,6 @@ class LocalToGlobal(nn.Module):
         x = torch.cat([*(x.to(dtype) for x in features), self.conv(f, near, pose, place)], dim=-1)
         x = F.leaky_relu(self.embed(x.flatten(0, 1)), SLOPE).unflatten(0, x.shape[:2])
         return Prediction(self.head(torch.cat([x.amax(dim=1), x.mean(dim=1)], dim=-1)))
-
-    def _state(self) -> dict[str, Tensor]:
-        """The trunk's in double precision: in evaluation, rounding is not to choose neighbours."""
-        named = chain(self.trunk.named_parameters(), self.trunk.named_buffers())
-        return {name: t.double() if t.is_floating_point() else t for name, t in named}
 
 
 def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:

@@ -9,25 +9,26 @@ double precision: where rounding chose, a turned cloud would get another answer.
 
 from __future__ import annotations
 
-from itertools import chain, pairwise
+from itertools import pairwise
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torch.func import functional_call
 
-from baselines.camera import camera_ray
 from baselines.joined import JoinedMax
 from baselines.local_to_global import (
-    AXIS_NEIGHBOURS,
     MEAN_NEIGHBOURS,
     SLOPE,
+    in_double,
+    neighbourhoods,
     normed,
+    oriented_axes,
     pairs,
+    point_features,
     pose_features,
 )
-from baselines.lra import dot, facing, local_axes, unit
-from baselines.points import distances, gather, knn, normalise
+from baselines.lra import unit
+from baselines.points import gather, knn
 from baselines.shared_mlp import NormLinear
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
@@ -126,38 +127,18 @@ class PaRIConv(nn.Module):
         directions to their neighbours' means, the k nearest others, and of every point its distance
         from the centroid and the cosine and sine of its axis against the direction to it.
         """
-        number = points.shape[1]
-        if number <= self.k:
-            raise InputError(
-                f"{self.k} neighbours need clouds of at least {self.k + 1} points, got {number}"
-            )
-        x = normalise(points.double(), radius=1.0)
-        most = min(max(MEAN_NEIGHBOURS, self.k + 1), number)
-        near = distances(x, x).topk(most, dim=-1, largest=False).indices
-        relative = gather(x, near) - x[:, :, None]
-        away = -camera_ray(points)[:, None].double() if self.orient == "camera" else x
-        axes = facing(local_axes(relative[:, :, :AXIS_NEIGHBOURS]), away)
+        x, near, relative = neighbourhoods(points, self.k)
+        axes = oriented_axes(points, x, relative, self.orient)
         mean = unit(relative[:, :, :MEAN_NEIGHBOURS].mean(dim=2))
-        ray = unit(x)
-        sine = torch.linalg.vector_norm(torch.linalg.cross(axes, ray, dim=-1), dim=-1)
-        numbers = torch.stack([torch.linalg.vector_norm(x, dim=-1), dot(axes, ray), sine], dim=-1)
-        return x, axes, mean, near[..., 1 : self.k + 1], numbers
+        return x, axes, mean, near[..., 1 : self.k + 1], point_features(x, axes)
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k → logits (B,K)."""
         # Autocast would mix eight bits into what evaluation does in double.
         autocast = torch.is_autocast_enabled(points.device.type) and self.training
         with torch.autocast(points.device.type, enabled=autocast):
-            geometry = self.geometry(points)
-            features = (
-                self.layers(*geometry) if self.training
-                else functional_call(self.layers, self._state(), geometry)
-            )  # fmt: skip
+            layers = self.layers if self.training else in_double(self.layers)
+            features = layers(*self.geometry(points))
         features = features.to(self.embed[0].weight.dtype)
         x = F.leaky_relu(self.embed(features.flatten(0, 1)), SLOPE).unflatten(0, points.shape[:2])
         return Prediction(self.head(torch.cat([x.amax(dim=1), x.mean(dim=1)], dim=-1)))
-
-    def _state(self) -> dict[str, Tensor]:
-        """The layers' in double precision: in evaluation, rounding is not to choose neighbours."""
-        named = chain(self.layers.named_parameters(), self.layers.named_buffers())
-        return {name: t.double() if t.is_floating_point() else t for name, t in named}

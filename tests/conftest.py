@@ -22,3 +22,19 @@ def shared() -> Path:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)
+
+
+@pytest.fixture
+def arranged(monkeypatch):
+    """Every arrangement that was made, in order."""
+    from renderers import occlusion
+
+    made = []
+    own = occlusion.arrange
+
+    def spy(*arguments):
+        made.append(own(*arguments))
+        return made[-1]
+
+    monkeypatch.setattr(occlusion, "arrange", spy)
+    return made

@@ -8,7 +8,6 @@ damages.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from leaderboard.board import Column, ranked
+from leaderboard.board import Column
 from leaderboard.comparison import share_correct
+from leaderboard.tables.conditions import Tested, rows_under
 from leaderboard.tables.layouts import Layout
 from leaderboard.words import percent, row_title
 from partialbench.benchmark.records.results import Result
@@ -156,27 +156,16 @@ def find_damages(board: list[Column], records: Iterable[Result], folder: Path) -
     Args:
         records: all of the folder's.
     """
-    probes: dict[tuple[str, ...], list[Result]] = defaultdict(list)
-    for result in records:
-        if set(result.conditions) == {"damage"}:  # two conditions at once compare with no row
-            probes[result.column[:-1]].append(result)
-    found = []
-    for column in board:
-        rows = {}
-        for name in ranked(column):
-            tested: dict[str, list[Result]] = {CLEAN: list(column.cells[name].results)}
-            for probe in probes.get(column.key, []):
-                if probe.row == name:
-                    tested.setdefault(probe.damage, []).append(probe)
-            seeds = set.intersection(*({r.seed for r in each} for each in tested.values()))
-            if len(tested) > 1 and seeds:
-                alike = {key: [r for r in tested[key] if r.seed in seeds] for key in tested}
-                shares = {key: share_correct(alike[key], folder) for key in alike}
-                right = {key: share for key, (_, share) in shares.items()}
-                rows[name] = Damaged(len(seeds), right, shares[CLEAN][0])
-        if rows:
-            found.append(Damages(column, rows))
-    return found
+    return [
+        Damages(column, {name: _damaged(tested, folder) for name, tested in rows.items()})
+        for column, rows in rows_under(board, records, "damage", CLEAN)
+    ]
+
+
+def _damaged(tested: Tested, folder: Path) -> Damaged:
+    shares = {key: share_correct(tested[key], folder) for key in tested}
+    right = {key: share for key, (_, share) in shares.items()}
+    return Damaged(len(tested[CLEAN]), right, shares[CLEAN][0])
 
 
 def as_layout(damages: Damages) -> Layout:

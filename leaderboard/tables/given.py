@@ -7,7 +7,6 @@ those count that were tested under each of its poses.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from leaderboard.board import Column, ranked
+from leaderboard.board import Column
 from leaderboard.comparison import share_correct
+from leaderboard.tables.conditions import rows_under
 from leaderboard.tables.layouts import Layout
 from leaderboard.words import difference, row_title
 from partialbench.benchmark.records.results import Result
@@ -64,26 +64,10 @@ def find_given_poses(
     Args:
         records: all of the folder's.
     """
-    probes: dict[tuple[str, ...], list[Result]] = defaultdict(list)
-    for result in records:
-        if set(result.conditions) == {"pose"}:  # two conditions at once compare with no row
-            probes[result.column[:-1]].append(result)
-    found = []
-    for column in board:
-        rows = {}
-        for name in ranked(column):
-            tested: dict[str, list[Result]] = defaultdict(list)
-            tested[OWN] += column.cells[name].results
-            for probe in probes.get(column.key, []):
-                if probe.row == name:
-                    tested[probe.given_pose].append(probe)
-            seeds = set.intersection(*({r.seed for r in each} for each in tested.values()))
-            if len(tested) > 1 and seeds:
-                alike = {pose: [r for r in tested[pose] if r.seed in seeds] for pose in tested}
-                rows[name] = _told(alike, folder)
-        if rows:
-            found.append(GivenPoses(column, rows))
-    return found
+    return [
+        GivenPoses(column, {name: _told(tested, folder) for name, tested in rows.items()})
+        for column, rows in rows_under(board, records, "pose", OWN)
+    ]
 
 
 def as_layout(given: GivenPoses) -> Layout:

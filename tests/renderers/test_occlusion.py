@@ -45,20 +45,6 @@ def render(count, share=0.25, sensor="ideal", **options):
     return renderer.views(TARGET, poses(count), rngs(count, "noise"), others)
 
 
-@pytest.fixture
-def arranged(monkeypatch):
-    """Every arrangement that was made, in order."""
-    made = []
-    own = occlusion.arrange
-
-    def spy(*arguments):
-        made.append(own(*arguments))
-        return made[-1]
-
-    monkeypatch.setattr(occlusion, "arrange", spy)
-    return made
-
-
 def test_the_occluded_share_is_that_of_a_brute_force_caster(arranged):
     views = render(100)
     assert len(arranged) == 100

@@ -15,7 +15,6 @@ from partialbench.dataset.seeding import generator
 from partialbench.dataset.sources import FEW_POINTS
 from partialbench.errors import InputError
 from partialbench.geometry.camera import sample_pose
-from renderers import occlusion
 from renderers.sources.scannet.occluder import ScanHprOccluder
 from renderers.sources.scannet.source import ScanNetInstances
 from tests.scannet.scenes import CHAIR, TABLE, Thing, write_annotations, write_scene
@@ -42,20 +41,6 @@ def folder(tmp_path):
 def source(folder):
     splits = {"scene0001_00": "train", "scene0002_00": "train"}
     return ScanNetInstances(folder, folder / "full_annotations.json", split_file=splits)
-
-
-@pytest.fixture
-def arranged(monkeypatch):
-    """Every arrangement that was made, in order."""
-    made = []
-    own = occlusion.arrange
-
-    def spy(*arguments):
-        made.append(own(*arguments))
-        return made[-1]
-
-    monkeypatch.setattr(occlusion, "arrange", spy)
-    return made
 
 
 def rngs(count, purpose="places"):
