@@ -69,6 +69,7 @@ def run_missing(
             help="the last milestone to train to: 25k, 100k", show_default="the file's last"
         ),
     ] = None,
+    trials: Annotated[bool, typer.Option(help="also the trials of the file's [[tune]]")] = True,
     time_limit: Annotated[
         str | None,
         typer.Option(help="save and leave after 45s, 170m or 3h; exit status 75 if jobs are left"),
@@ -91,6 +92,7 @@ def run_missing(
     with continued_by("the same command"), ended_as_by_ctrl_c():
         found = run(
             load(file), jobs=workers, device=device, only=only or (), up_to=up_to,
+            trials=trials,
             time_limit_s=None if time_limit is None else seconds(time_limit),
             scheduler=scheduler, retry_failed=retry_failed,
             say=lambda text: stderr.print(text, markup=False),

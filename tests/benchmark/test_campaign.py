@@ -198,6 +198,8 @@ def test_what_lies_beyond_the_last_milestone_asked_for_waits(campaign, in_this_p
     assert not (campaign.work / "data" / "other").exists()
     with pytest.raises(InputError, match="positive whole number such as 25000, 100k or 1M"):
         running.run(campaign, jobs=1, up_to="soon")
+    running.run(campaign, jobs=1, only=["*Bare"], trials=False)
+    assert in_this_process[2:] == [("train", "Bare", 64)]
 
 
 def test_data_that_cannot_be_rendered_cost_their_own_jobs_alone(campaign, in_this_process):

@@ -53,6 +53,7 @@ def run(
     device: str = "auto",
     only: Sequence[str] = (),
     up_to: str | int | None = None,
+    trials: bool = True,
     time_limit_s: float | None = None,
     scheduler: str | None = None,
     retry_failed: bool = False,
@@ -66,6 +67,7 @@ def run(
             without one. Of one milestone, jobs that fit an earlier pattern are begun first.
         up_to: the last milestone that is trained to, as ``milestones.parse`` takes it; by default
             the file's last.
+        trials: also those that the file's [[tune]] ask for.
         time_limit_s: after so long every training saves its state and the campaign ends.
         scheduler: of a Dask cluster whose workers see the same folders; ``jobs`` is then by default
             as many as it has threads.
@@ -96,7 +98,7 @@ def run(
             }  # fmt: skip
             kept = [f for f in job_files.read_failures(failures) if f["job"] not in tried]
             job_files.write_failures(failures, kept)
-        runner = _Runner(campaign, device, only, last, deadline, say)
+        runner = _Runner(campaign, device, only, last, trials, deadline, say)
         try:
             with _executor(scheduler, jobs, device) as (executor, width):
                 runner.render(width, scheduler)
@@ -152,9 +154,10 @@ class _Runner:
 
     def __init__(
         self, campaign: Campaign, device: str, only: Sequence[str], last: int | None,
-        deadline: float | None, say: Callable[[str], None],
+        trials: bool, deadline: float | None, say: Callable[[str], None],
     ) -> None:  # fmt: skip
-        self.campaign, self.device, self.only, self.last = campaign, device, only, last
+        self.campaign, self.device = campaign, device
+        self.only, self.last, self.trials = only, last, trials
         self.deadline, self.say = deadline, say
         self.stop = campaign.work / f"stop-{os.getpid()}"
         self.running: dict[Future, Job] = {}
@@ -169,6 +172,8 @@ class _Runner:
         if not needed.isdisjoint(self.unrendered):
             return False
         if self.last is not None and job.clouds > self.last:
+            return False
+        if job.kind == "tune" and not self.trials:
             return False
         return _matches(job, self.only) is not None
 
