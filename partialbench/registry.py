@@ -205,10 +205,10 @@ def load(entry: str) -> Any:
         raise InputError(f"module {module_name!r} has no {attribute!r}{near}") from None
 
 
-def close_matches(name: str, known: Iterable[str]) -> str:
+def close_matches(name: Any, known: Iterable[str]) -> str:
     """ "; did you mean a, b?", or "; known: …" when nothing is close."""
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    near = difflib.get_close_matches(str(name), known, n=3, cutoff=0.5)
     if near:
         return f"; did you mean {', '.join(near)}?"
     return f"; known: {', '.join(known)}" if known else ""

@@ -32,6 +32,8 @@ def is_own(name: str) -> bool:
 
 def named(name: str) -> str:
     """The name that stands in records: a file under the current folder is told from there."""
+    if not isinstance(name, str):
+        raise InputError(f"a model is named by a text such as 'my_model:make', got {name!r}")
     module, colon, factory = name.rpartition(":")
     if not colon or not _is_file(module):
         return name

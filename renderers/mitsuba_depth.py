@@ -21,6 +21,9 @@ from renderers.tracing import Tracer, make_tracer
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
 
+MOST_PIXELS = 2**28
+"""Of one image: Mitsuba's arrays end at 2³² numbers, and a ray has more than one."""
+
 NOTHING_SEEN = "no surface at any pixel centre"
 
 Pose = tuple[NDArray, NDArray]
@@ -65,6 +68,10 @@ class MitsubaOccluder:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+        if self.resolution**2 > MOST_PIXELS:
+            raise InputError(
+                f"resolution must be at most {int(MOST_PIXELS**0.5)}, got {self.resolution}"
+            )
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
         require_share(self.occluders)

@@ -126,7 +126,7 @@ def test_a_cloud_loses_its_hidden_half_and_takes_no_options_of_an_image():
         ({"pose": (np.eye(3) * 2, (0, 0, 3))}, "with R a rotation, .* det R = 8"),
         ({"pose": 5}, "pose must be 'random', 'aligned' or"),
         ({"num_points": 0}, "num_points must be at least 1, got 0"),
-        ({"shape": np.zeros((4, 2))}, r"expected a mesh, a path or \(n,3\) points, got ndarray"),
+        ({"shape": np.zeros((4, 2))}, r"no mesh and no path\) is a ndarray of shape \(4, 2\)"),
         ({"shape": "absent.off"}, "no file at absent.off"),
         ({"shape": __file__}, r"\.py is not read; give a mesh \(\.off"),
         ({"up": "x"}, "up must be one of z, y, got 'x'"),

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from partialbench import user_code
+from partialbench import given, user_code
 from partialbench.benchmark import inputs
 from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
@@ -197,7 +197,8 @@ class Classifier:
             InputError: a file that cannot be read or is no shape, a depth image without K, no
                 votes, or a model that cannot answer.
         """
-        return self._answer(read_points(Path(file), K, depth_scale), str(file), votes)
+        path = given.path(file, "a capture's file")
+        return self._answer(read_points(path, K, depth_scale), str(file), votes)
 
     def predict(self, points: Any, votes: int = VOTES) -> Answer | list[Answer]:
         """What the model says of clouds in memory; of each what it says of that cloud alone.
@@ -215,24 +216,28 @@ class Classifier:
         Raises:
             InputError: as for a file. Which cloud it was is said.
         """
-        several = isinstance(points, list | tuple)
-        dimensions = (1 + np.ndim(points[0]) if points else 3) if several else np.ndim(points)
+        if isinstance(points, str | Path):
+            raise InputError(f"predict takes points; for a file call it: classifier({points!r})")
+        dimensions = _dimensions(points)
         if dimensions == 2:
             return self._answer(given_points(points), "the cloud", votes)
         if dimensions != 3:
+            shape = f"{dimensions} dimension{'' if dimensions == 1 else 's'}"
+            known = hasattr(points, "points") or (isinstance(points, dict) and "points" in points)
+            hint = "; give its points" if known else ""
             raise InputError(
-                f"expected (N,3), (B,N,3) or a list of clouds, got {dimensions} dimension(s)"
+                f"expected (N,3), (B,N,3) or a list of clouds, got a {type(points).__name__} of "
+                f"{shape}{hint}"
             )
         names = [f"cloud {i}" for i in range(len(points))]
         clouds = [given_points(one, name) for one, name in zip(points, names, strict=True)]
         return [self._answer(one, name, votes) for one, name in zip(clouds, names, strict=True)]
 
-    def _answer(self, given: NDArray, name: str, votes: int) -> Answer:
+    def _answer(self, points: NDArray, name: str, votes: int) -> Answer:
         """What the model says of points (n,3) that ``captures.shaped`` let pass."""
-        if votes < 1:
-            raise InputError(f"votes must be at least 1, got {votes}")
+        votes = given.whole_number(votes, "votes", 1)
         count, class_names = self.content["num_points"], self.class_names
-        clouds = draw(given, count, min(votes, max(1, len(given) // count)))
+        clouds = draw(points, count, min(votes, max(1, len(points) // count)))
         try:
             # What a model draws or remembers is of no other cloud: the same cloud, the same answer.
             with unchanged(self.model), torch.inference_mode(), keyed_draws(device=self.device):
@@ -253,9 +258,21 @@ class Classifier:
             class_names,
             shares.cpu().numpy(),
             None if poses is None else poses.double().softmax(1).mean(0).cpu().numpy(),
-            len(given),
+            len(points),
             clouds.shape[0] * clouds.shape[1],
         )
+
+
+def _dimensions(points: Any) -> int:
+    """2 of a cloud, 3 of several; a list has one more than its first has."""
+    if not isinstance(points, list | tuple):
+        return int(np.ndim(points))
+    if not points:
+        return 3
+    try:
+        return 1 + int(np.ndim(points[0]))
+    except ValueError:  # rows of unequal length: which cloud it is is said further on
+        return 3
 
 
 def draw(points: NDArray, count: int, clouds: int = 1) -> NDArray[np.float32]:

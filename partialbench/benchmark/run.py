@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from lightning.fabric import Fabric
 
-from partialbench import registry, user_code
+from partialbench import given, registry, user_code
 from partialbench.benchmark import inputs, models, preflight
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.environment import precision_of
@@ -51,7 +52,7 @@ def run_eval(
     device: str = "auto",
     results_folder: Path | str = "results",
     *,
-    clouds: Sequence[str | int] | None = None,
+    clouds: str | int | Sequence[str | int] | None = None,
     restart: bool = False,
     runs_folder: Path | str | None = None,
     should_stop: Callable[[], bool] | None = None,
@@ -60,9 +61,9 @@ def run_eval(
     precision: str = FULL_PRECISION,
     log_to: str = "csv",
     checkpoint_every: int | None = None,
-    test_points: Sequence[int] = (),
-    test_poses: Sequence[str | float] = (),
-    test_damages: Sequence[str] = (),
+    test_points: int | Sequence[int] = (),
+    test_poses: str | float | Sequence[str | float] = (),
+    test_damages: str | Sequence[str] = (),
     test_grid: Path | str | Sequence[Path | str] | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
@@ -83,7 +84,8 @@ def run_eval(
             protocol they were trained by: what would change a training is an error then.
         preset: "smoke", "board" or "paper"; ``protocol`` and ``protocol_overrides`` change its
             fields (``num_points=512``), which makes it another protocol.
-        clouds: the milestones to train to, as ``milestones.parse`` takes them: [25_000, "100k"].
+        clouds: the milestone to train to, or several, as ``milestones.parse`` takes them: "25k",
+            [25_000, "100k"].
             By default those of the preset. A published recipe has one, the most clouds it may see.
         restart: delete what there is of these trainings and begin from the seed.
         runs_folder: of the trainings; "runs" in the results folder by default.
@@ -113,10 +115,26 @@ def run_eval(
         InputError: anything about the arguments or files.
         TimeLimitError: see ``should_stop``.
     """
-    results_folder = Path(results_folder)
-    runs_folder = results_folder / "runs" if runs_folder is None else Path(runs_folder)
-    given = [data, *([test_data] if isinstance(test_data, Path | str) else test_data or ())]
-    folders = [folder for folder in given if folder is not None]
+    preflight.check_names(protocol_overrides, inspect.signature(run_eval).parameters)
+    results_folder = given.path(results_folder, "the folder of the results")
+    runs_folder = given.path(runs_folder or results_folder / "runs", "the folder of the runs")
+    folders = [
+        given.path(folder, "a data folder")
+        for folder in (*([] if data is None else [data]), *given.several(test_data, "test_data"))
+    ]
+    seeds = given.whole_number(seeds, "seeds", 1)
+    first_seed = given.whole_number(first_seed, "first_seed", 0)
+    if checkpoint_every is not None:
+        checkpoint_every = given.whole_number(checkpoint_every, "checkpoint_every", 1)
+    restart = given.truth(restart, "restart")
+    if should_stop is not None and not callable(should_stop):
+        raise InputError(f"should_stop must be something to call, got {should_stop!r}")
+    clouds = None if clouds is None else given.several(clouds, "clouds")
+    test_points = [
+        given.whole_number(n, "test_points") for n in given.several(test_points, "test_points")
+    ]
+    options = given.mapping(options, "options")
+    recipe, protocol = given.mapping(recipe, "recipe"), given.mapping(protocol, "protocol")
     model = user_code.named(model)
     preflight.check(
         model, data=folders, results=results_folder, device=device, precision=precision,
@@ -124,10 +142,10 @@ def run_eval(
     )  # fmt: skip
     check_log(log_to)
     fabric = make_fabric(device, precision)
-    poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
-    damages = damage.parse(test_damages)
-    of_grid = [test_grid] if isinstance(test_grid, Path | str) else test_grid or ()
-    cells = [folder for path in of_grid for folder in grids.folders(Path(path))]
+    poses = list(dict.fromkeys(map(given_pose.parse, given.several(test_poses, "test_poses"))))
+    damages = damage.parse(given.several(test_damages, "test_damages"))
+    of_grid = [given.path(one, "a grid") for one in given.several(test_grid, "test_grid")]
+    cells = [folder for path in of_grid for folder in grids.folders(path)]
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
@@ -138,7 +156,7 @@ def run_eval(
             "--seeds": seeds != 1, "--first-seed": first_seed,
             "--precision": precision != FULL_PRECISION, "--clouds": clouds, "--restart": restart,
         }  # fmt: skip
-        unused = [name for name, given in asked.items() if given]
+        unused = [name for name, wanted in asked.items() if wanted]
         if unused:
             raise InputError(
                 f"--checkpoint tests finished weights, so {', '.join(unused)} would have no "
@@ -146,24 +164,20 @@ def run_eval(
             )
         return _test_checkpoint(
             model, find_checkpoint(checkpoint_file), folders, preset, test_points, poses, damages,
-            options or {}, fabric, results_folder, cells,
+            options, fabric, results_folder, cells,
         )  # fmt: skip
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
-    if seeds < 1:
-        raise InputError(f"seeds must be at least 1, got {seeds}")
-    if checkpoint_every is not None and checkpoint_every < 1:
-        raise InputError(f"checkpoint_every must be at least 1 step, got {checkpoint_every}")
 
     if fabric.device.type == "cpu":
         keep_freed_memory()
-    followed = protocols.protocol(preset, **{**(protocol or {}), **protocol_overrides})
+    followed = protocols.protocol(preset, **{**protocol, **protocol_overrides})
     goals = milestones_of(followed, clouds)
     card = models.card_of(model)
     own = recipes.of_protocol(card, followed)
-    changed = recipes.changes(own, recipe or {})
-    used = recipes.override(own, recipe or {})
-    chosen = models.chosen_options(model, options or {})
+    changed = recipes.changes(own, recipe)
+    used = recipes.override(own, recipe)
+    chosen = models.chosen_options(model, options)
     train_set = ShardDataset(data, "train", followed.num_points)
     test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
     of_cells = _open_cells(cells, followed.num_points, train_set.class_names)
