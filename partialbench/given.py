@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from partialbench.errors import InputError
+from partialbench.geometry.rotations import is_rotation
 
 Several = str | int | float | Path | Iterable[Any] | None
 
@@ -83,6 +84,54 @@ def mapping(value: Any, name: str) -> dict[str, Any]:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise InputError(f'{name} must be a dictionary such as {{"name": value}}, got {value!r}')
     return dict(value)
+
+
+def clouds(points: Any, expected: str) -> tuple[list[tuple[str, NDArray]], bool]:
+    """One cloud (N,3), several (B,N,3), or a list of clouds of any sizes.
+
+    Args:
+        expected: what errors say may be given.
+
+    Returns:
+        Each with what errors call it, as ``cloud`` gives it; and whether it was one by itself.
+    """
+    dimensions = _dimensions(points)
+    if dimensions == 2:
+        return [("the cloud", cloud(points))], True
+    if dimensions != 3:
+        known = hasattr(points, "points") or (isinstance(points, Mapping) and "points" in points)
+        raise InputError(
+            f"expected {expected}, got a {type(points).__name__} of {dimensions} "
+            f"dimension{'' if dimensions == 1 else 's'}{'; give its points' if known else ''}"
+        )
+    names = (f"cloud {i}" for i in range(len(points)))
+    return [(name, cloud(one, name)) for name, one in zip(names, points, strict=True)], False
+
+
+def _dimensions(points: Any) -> int:
+    """2 of a cloud, 3 of several; a list has one more than its first has."""
+    if not isinstance(points, list | tuple):
+        return int(np.ndim(points))
+    if not points:
+        return 3
+    try:
+        return 1 + int(np.ndim(points[0]))
+    except ValueError:  # rows of unequal length: which cloud it is is said further on
+        return 3
+
+
+def rotations(R: Any, name: str, count: int) -> NDArray[np.float64]:
+    """(count,3,3); one (3,3) stands for itself where one is expected."""
+    try:
+        given = np.asarray(R, np.float64)
+    except (TypeError, ValueError, RuntimeError):
+        given = np.zeros(0)
+    given = given[None] if given.ndim == 2 else given
+    if given.shape != (count, 3, 3):
+        raise InputError(f"{name} has shape {np.shape(R)}, expected (3,3) for each of {count}")
+    if not is_rotation(given, 1e-3).all():
+        raise InputError(f"{name} is no rotation: R·Rᵀ must be the identity, det R = 1")
+    return given
 
 
 def cloud(points: Any, name: str = "the cloud") -> NDArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -197,3 +199,68 @@ def test_rows_are_told_by_numbers_or_by_a_mask(folder):
     for wrong in (0.5, "0", True, slice(0, 2)):
         with pytest.raises(InputError, match="an index of a sample must be a whole number"):
             samples[wrong]
+
+
+def test_a_relative_folder_is_read_from_anywhere_once_it_is_open(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(folder.parent)
+    data = pb.load_dataset(folder.name, "test", fields=("points", "depth"))
+    opened = pickle.dumps(data)
+    monkeypatch.chdir(tmp_path)
+    first = pb.load_dataset(folder, "test", fields=("points", "depth"))[0]
+    for read in (data, pickle.loads(opened)):
+        assert all(torch.equal(read[0][name], first[name]) for name in first)
+
+
+def test_a_folder_that_was_moved_says_so(folder, tmp_path):
+    shutil.copytree(folder, tmp_path / "a räumliche one")
+    data = pb.load_dataset(tmp_path / "a räumliche one")
+    (tmp_path / "a räumliche one").rename(tmp_path / "b")
+    with pytest.raises(InputError, match="moved, deleted or rewritten since the folder was opened"):
+        data[0]
+    assert len(pb.load_dataset(tmp_path / "b")) == len(data)
+
+
+def test_what_is_shown_is_taken_as_points_are(sphere):
+    for name, points in laid_out(sphere).items():
+        assert pb.show(points).html == pb.show(sphere).html, name
+    assert pb.show([sphere, sphere[:9]], [np.eye(3), torch.eye(3)]).samples == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"data": np.zeros((0, 3))}, "the cloud has no points"),
+        ({"data": [np.ones((4, 3)), np.full((4, 3), np.nan)]}, "cloud 1 has points that are NaN"),
+        ({"data": np.array([["a"] * 3])}, "the cloud is of type <U1"),
+        ({"data": {"points": np.ones((4, 3))}}, "got a dict of 0 dimensions; give its points"),
+        ({"data": np.ones((3, 40))}, "transpose it"),
+        ({"R": np.eye(3) * 2}, "R is no rotation"),
+        ({"R": np.full((3, 3), np.nan)}, "R is no rotation"),
+        ({"R": "a"}, r"R has shape \(\), expected \(3,3\)"),
+    ],
+)
+def test_what_cannot_be_shown_is_said(sphere, arguments, message):
+    with pytest.raises(InputError, match=message):
+        pb.show(**{"data": sphere, **arguments})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda f: pb.show(f, samples=1.5), "samples must be a whole number, got 1.5"),
+        (lambda f: pb.show(f, seed=None), "seed must be a whole number, got None"),
+        (lambda f: pb.look_at("abc"), "look_at: eye must be three finite numbers, got 'abc'"),
+        (lambda f: pb.look_at((1, 2, 3j)), "look_at: eye must be three finite numbers"),
+        (lambda f: pb.list_models(None), "a pattern of names is a text"),
+        (lambda f: pb.create_model("pointnet", 2.5), "num_classes must be a whole number, got 2.5"),
+        (lambda f: pb.create_model("pointnet", True), "num_classes must be a whole number"),
+        (lambda f: pb.create_model(None, 5), "a model is named by a text such as .*, got None"),
+        (lambda f: pb.load_model(3), "weights must be a path"),
+        (lambda f: pb.load_model(device=0), "device must be auto, cpu, cuda or cuda:0 …, got '0'"),
+        (lambda f: pb.load_model(model=list), "a model is named by a text"),
+        (lambda f: pb.leaderboard(f, data=3), "data must be one or a list of them|must be a path"),
+    ],
+)
+def test_wrong_arguments_end_in_a_sentence(folder, call, message):
+    with pytest.raises(InputError, match=message):
+        call(folder)

@@ -206,10 +206,10 @@ def test_what_is_shown_has_a_cloud_and_axes_where_there_is_a_pose(folder, rng, t
     gallery = pb.show(cloud)
     assert gallery.save(tmp_path / "page.html").read_text() == gallery.html
     assert html.escape(gallery.html) in gallery._repr_html_()
-    with pytest.raises(InputError, match=r"R has shape \(3, 3\), expected"):
+    with pytest.raises(InputError, match=r"R has shape \(3, 3\), expected \(3,3\) for each of 2"):
         pb.show(np.stack([cloud, cloud]), np.eye(3))
     with pytest.raises(InputError, match="expected a data folder, a data set, a View, or clouds"):
-        pb.show(np.zeros((3, 4)))
+        pb.show(np.zeros(3))
 
 
 def test_a_missing_extra_is_named_with_the_line_that_installs_it(monkeypatch):

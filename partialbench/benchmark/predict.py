@@ -218,20 +218,10 @@ class Classifier:
         """
         if isinstance(points, str | Path):
             raise InputError(f"predict takes points; for a file call it: classifier({points!r})")
-        dimensions = _dimensions(points)
-        if dimensions == 2:
-            return self._answer(given_points(points), "the cloud", votes)
-        if dimensions != 3:
-            shape = f"{dimensions} dimension{'' if dimensions == 1 else 's'}"
-            known = hasattr(points, "points") or (isinstance(points, dict) and "points" in points)
-            hint = "; give its points" if known else ""
-            raise InputError(
-                f"expected (N,3), (B,N,3) or a list of clouds, got a {type(points).__name__} of "
-                f"{shape}{hint}"
-            )
-        names = [f"cloud {i}" for i in range(len(points))]
-        clouds = [given_points(one, name) for one, name in zip(points, names, strict=True)]
-        return [self._answer(one, name, votes) for one, name in zip(clouds, names, strict=True)]
+        named, alone = given.clouds(points, "(N,3), (B,N,3) or a list of clouds")
+        shapes = [(given_points(cloud, name), name) for name, cloud in named]
+        answers = [self._answer(shape, name, votes) for shape, name in shapes]
+        return answers[0] if alone else answers
 
     def _answer(self, points: NDArray, name: str, votes: int) -> Answer:
         """What the model says of points (n,3) that ``captures.shaped`` let pass."""
@@ -261,18 +251,6 @@ class Classifier:
             len(points),
             clouds.shape[0] * clouds.shape[1],
         )
-
-
-def _dimensions(points: Any) -> int:
-    """2 of a cloud, 3 of several; a list has one more than its first has."""
-    if not isinstance(points, list | tuple):
-        return int(np.ndim(points))
-    if not points:
-        return 3
-    try:
-        return 1 + int(np.ndim(points[0]))
-    except ValueError:  # rows of unequal length: which cloud it is is said further on
-        return 3
 
 
 def draw(points: NDArray, count: int, clouds: int = 1) -> NDArray[np.float32]:

@@ -241,7 +241,13 @@ class ShardDataset:
         if mapped is None:
             file = self._layout[shard]
             shape = (file.rows, self._stored_points, 3)
-            mapped = np.memmap(file.path, "<f4", "r", file.offsets[name], shape)
+            try:
+                mapped = np.memmap(file.path, "<f4", "r", file.offsets[name], shape)
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    f"{file.path} cannot be read any more ({error}): moved, deleted or rewritten "
+                    f"since the folder was opened; open it again where it is"
+                ) from error
             self._maps[shard, name] = mapped
         return mapped
 
@@ -255,10 +261,11 @@ def _read_small_and_layout(
     }
     layout = []
     table = tables.load(folder)
+    place = folder.absolute()  # opened later too, when the current folder may be another
     for entry in entries:
         if entry.rows == 0:
             continue
-        path = folder / entry.file
+        path = place / entry.file
         if not path.is_file():
             raise InputError(f"{path} is missing, the manifest lists it; run the render again")
         if path.stat().st_size != entry.bytes:
