@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from partialbench import given
 from partialbench.dataset.cloud_files import FORMATS, read_cloud
+from partialbench.dataset.ply import is_mesh
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 
@@ -58,12 +59,15 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
             all on a line, or of an extent that 32 bits cannot work with.
     """
     if not path.is_file():
-        raise InputError(f"no file at {path}")
+        where = "is a folder; give one of its files" if path.is_dir() else "is not there"
+        raise InputError(f"no file at {path}: it {where}")
     kind = path.suffix.lower()
     if kind not in (*FORMATS, *IMAGES):
+        mesh = kind in (".off", ".obj", ".stl", ".glb", ".gltf", ".dae")
         raise InputError(
             f"{path}: {kind or 'a file without suffix'} is not read; give a cloud "
             f"({', '.join(FORMATS)}) or a depth image ({', '.join(IMAGES)}, .npy)"
+            + ("; of a mesh render a view first (partialbench.render_view)" if mesh else "")
         )
     try:
         content = path.read_bytes()
@@ -76,6 +80,11 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
         points = points[np.isfinite(points).all(axis=1)]
     else:
         points = read_cloud(content, str(path), drop_unmeasured=True)
+        if kind == ".ply" and is_mesh(content):
+            log.warning(
+                "%s is a mesh: its %d vertices are taken for the points of a scan; of a CAD model "
+                "render a view first (partialbench.render_view)", path, len(points),
+            )  # fmt: skip
         if kind in (".xyz", ".txt", ".csv", ".pts"):
             _say_columns(path, _columns_of_text(content))
     return shaped(points, path)

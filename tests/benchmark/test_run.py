@@ -20,9 +20,10 @@ from partialbench.benchmark.predict import predict
 from partialbench.benchmark.records import results
 from partialbench.benchmark.run import run_eval
 from partialbench.benchmark.testing import metrics
+from partialbench.benchmark.testing.run import _test_rows
 from partialbench.cli import app
 from partialbench.errors import ConfigurationMismatchError, InputError
-from tests.benchmark.memory_clouds import data_folder
+from tests.benchmark.memory_clouds import MemoryClouds, data_folder
 from tests.benchmark.tiny_models import MODELS, SMALL, Bare
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,6 +74,30 @@ def test_another_data_set_is_scored_on_the_shared_classes(done):
     assert crossed.scores["per_class"]["bottle"] is None
     assert crossed.scores["restricted_accuracy"] >= crossed.scores["accuracy"]
     assert crossed.column != done[0][0].column
+
+
+@pytest.mark.parametrize("limit", [200, 2])
+def test_a_class_that_only_a_few_of_the_clouds_have_is_found(tmp_path, data, limit):
+    """Two clouds of many classes, as the trial before a training tests, may have none in common."""
+    other = data_folder(tmp_path / "other", "toy-other", ("aal", "boat", "cat", "table"))
+    _, crossed = run_eval(
+        f"{MODELS}:Bare", data, other, results_folder=tmp_path / "results",
+        **{**SMALL, "max_test_clouds": limit},
+    )  # fmt: skip
+    assert crossed.scores["clouds"] == min(limit, 24)
+    assert {name for name, share in crossed.scores["per_class"].items() if share is not None} == {
+        "table"
+    }
+
+
+def test_a_shared_class_without_a_cloud_is_no_test(data):
+    class Empty(MemoryClouds):
+        def __init__(self):
+            super().__init__(classes=("aal", "table"))
+            self.labels = np.zeros_like(self.labels)
+
+    with pytest.raises(InputError, match=r"no cloud of the test data \(toy\) is of a class that"):
+        _test_rows(Empty(), ("chair", "table"), 2)
 
 
 def test_a_field_of_the_protocol_may_be_called_as_an_argument_is(data, tmp_path):
