@@ -183,6 +183,44 @@ def test_wrong_arguments_of_a_data_set(folder, arguments, message):
         pb.load_dataset(**{"folder": folder, **arguments})
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"points": "64"}, "points must be a whole number, got '64'"),
+        ({"points": 64.0}, "points must be a whole number, got 64.0"),
+        ({"views": 1.5}, "views must be a whole number, got 1.5"),
+        ({"seed": None}, "seed must be a whole number, got None"),
+        ({"workers": "2"}, "workers must be a whole number, got '2'"),
+        ({"objects_per_class": True}, "objects_per_class must be a whole number, got True"),
+        ({"min_visible": 0}, "min_visible must be at least 1, got 0"),
+        ({"normals": "yes"}, "normals must be True or False, got 'yes'"),
+        ({"splits": "val"}, "the source has no split 'val'"),
+        ({"out": None}, "the data folder must be a path"),
+        ({"source": [1]}, "the source must be a path"),
+        ({"source_options": "up=y"}, "source_options must be a dictionary"),
+        ({"resolution": 32}, r"no option 'resolution'.* occluder_options=\{…\} \(resolution"),
+        ({"pionts": 32}, "no option 'pionts'; did you mean points"),
+    ],
+)
+def test_wrong_arguments_of_a_rendering_make_no_folder(tmp_path, arguments, message):
+    given = {"source": "parametric", "out": tmp_path / "out", **arguments}
+    with pytest.raises(InputError, match=message):
+        pb.render_dataset(**given)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_notebook_shows_of_them_is_a_line(folder, sphere):
+    view = pb.render_view(sphere, SEEN, 64, normals=True)
+    seen = f"{view.visible_fraction:.0%} of the surface seen"
+    assert repr(view) == f"<View of 64 points, normals; {seen}>"
+    assert view != pb.render_view(sphere, SEEN, 64, normals=True)  # and no error of NumPy's
+    assert repr(pb.load_dataset(folder, num_points=8, fields="label")) == (
+        f"<TorchDataset of label of <toy train: 18 clouds of 8 points, 2 classes, in {folder}>>"
+    )
+    about = "<Classifier papnet-steered as it comes with partialbench: trained on "
+    assert repr(pb.load_model()).startswith(about)
+
+
 def test_rows_are_told_by_numbers_or_by_a_mask(folder):
     data = pb.ShardDataset(folder, "train", 16)
     mask = data.labels == data.labels[-1]

@@ -48,6 +48,15 @@ def test_a_type_checker_sees_the_names_that_are_loaded():
         pb.nothing  # noqa: B018
 
 
+def test_every_public_name_is_on_the_page_of_the_reference():
+    page = (Path(__file__).resolve().parents[1] / "docs/reference/python.md").read_text()
+    listed = re.findall(r"^::: (\S+)$", page, re.M)
+    assert {entry.replace(":", ".") for entry in pb._WHERE.values()} <= set(listed)
+    for name in listed:
+        module, _, attribute = name.rpartition(".")
+        assert hasattr(importlib.import_module(module), attribute), name
+
+
 @pytest.mark.parametrize(
     "module",
     ["partialbench", "partialbench.registry", "partialbench.geometry.camera",

@@ -163,6 +163,9 @@ class Classifier:
         if changed := checkpoint.changed_code(self.content, model):
             log.warning("%s: %s", path, changed)
 
+    def __repr__(self) -> str:
+        return f"<Classifier {self.about}>"
+
     @property
     def class_names(self) -> tuple[str, ...]:
         """Of the classes it tells apart, by label."""

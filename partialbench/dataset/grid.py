@@ -108,7 +108,7 @@ def _values(content: Mapping[str, Any], axis: str, where: str) -> list[Any]:
             if axis == "sensor":
                 registry.load(registry.MAKE_SENSOR)(value)
             elif axis == "occluders":
-                require_share(value)
+                require_share(float(value))
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
     if not values:

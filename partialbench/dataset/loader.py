@@ -123,6 +123,12 @@ class ShardDataset:
         self._stored_points = stored
         self._maps: dict[tuple[int, str], np.memmap] = {}
 
+    def __repr__(self) -> str:
+        return (
+            f"<{self.dataset_id} {self.split}: {len(self):,} clouds of {self.num_points} points, "
+            f"{len(np.unique(self.labels))} classes, in {self.folder}>"
+        )
+
     def __len__(self) -> int:
         return len(self.labels)
 

@@ -108,6 +108,9 @@ class TorchDataset(Dataset[Any]):
                 f'fields=("points", "label")'
             )
 
+    def __repr__(self) -> str:
+        return f"<TorchDataset of {', '.join(self.fields)} of {self.shards!r}>"
+
     def __len__(self) -> int:
         return len(self.shards)
 

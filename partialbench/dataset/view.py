@@ -52,8 +52,8 @@ def render_view(
         num_points: drawn without replacement; where fewer are seen, all of them first and repeats
             after. None for every point that is seen.
         resolution: side of the depth image in pixels (meshes only).
-        sensor: what distorts the depth: "ideal", "kinect-v1", "tof", with ":STRENGTH" (meshes
-            only).
+        sensor: what distorts the depth: "ideal", "kinect-v1", "tof", "stereo-d415",
+            "stereo-kinect-v1", with ":STRENGTH" (meshes only).
         depth: keep the depth image (meshes only).
         seed: of the pose, the sensor's noise and the drawing.
         normals: with the surface normals of the points.

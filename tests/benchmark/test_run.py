@@ -17,11 +17,14 @@ from typer.testing import CliRunner
 
 from leaderboard.check import problems
 from partialbench.benchmark.predict import predict
+from partialbench.benchmark.protocol.split import balanced_subset
 from partialbench.benchmark.records import results
 from partialbench.benchmark.run import run_eval
-from partialbench.benchmark.testing import metrics
+from partialbench.benchmark.testing import asked, metrics
+from partialbench.benchmark.testing.asked import Asked
 from partialbench.benchmark.testing.run import _test_rows
 from partialbench.cli import app
+from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import ConfigurationMismatchError, InputError
 from tests.benchmark.memory_clouds import MemoryClouds, data_folder
 from tests.benchmark.tiny_models import MODELS, SMALL, Bare
@@ -76,18 +79,29 @@ def test_another_data_set_is_scored_on_the_shared_classes(done):
     assert crossed.column != done[0][0].column
 
 
-@pytest.mark.parametrize("limit", [200, 2])
+@pytest.mark.parametrize("limit", [200, 1])
 def test_a_class_that_only_a_few_of_the_clouds_have_is_found(tmp_path, data, limit):
-    """Two clouds of many classes, as the trial before a training tests, may have none in common."""
-    other = data_folder(tmp_path / "other", "toy-other", ("aal", "boat", "cat", "table"))
+    """Few clouds of many classes, as the trial before a training tests, may have none in common."""
+    other = data_folder(tmp_path / "other", "toy-other", ("aal", "chair", "cod", "eel"))
     _, crossed = run_eval(
         f"{MODELS}:Bare", data, other, results_folder=tmp_path / "results",
         **{**SMALL, "max_test_clouds": limit},
     )  # fmt: skip
+    labels = ShardDataset(other, "test", 64).labels
+    few = balanced_subset(np.arange(len(labels)), labels, 1)
+    assert labels[few] != 1, "the one cloud of a balanced subset is of another class than chair"
     assert crossed.scores["clouds"] == min(limit, 24)
     assert {name for name, share in crossed.scores["per_class"].items() if share is not None} == {
-        "table"
+        "chair"
     }
+
+
+def test_one_test_or_several_each_folder_once():
+    once = asked.read("a", ["b", Path("a")], None, 64, 0, "jitter:3")
+    assert once == Asked([Path("a"), Path("b")], [], [64], ["0"], ("jitter:3",))
+    assert asked.read(None, "a", None, [64, 128], ["0", "class:0"], ["jitter:3", "scale:1"]) == (
+        Asked([Path("a")], [], [64, 128], ["0", "class:0"], ("jitter:3", "scale:1"))
+    )
 
 
 def test_a_shared_class_without_a_cloud_is_no_test(data):
