@@ -55,7 +55,7 @@ def evaluate(
         for result in partialbench.evaluate(make, "data/pm40", preset="smoke"):
             print(result.row, result.scores["accuracy"])
     """
-    preflight.check_names(options.keys() - _TAKEN, {*_TAKEN, "results"})
+    preflight.check_names([n for n in options if n not in _TAKEN], {*_TAKEN, "results"})
     if isinstance(model, Classifier):
         if "checkpoint_file" in options:
             raise InputError("give a Classifier or checkpoint_file, not both")
