@@ -217,7 +217,7 @@ def test_what_a_notebook_shows_of_them_is_a_line(folder, sphere):
     assert repr(pb.load_dataset(folder, num_points=8, fields="label")) == (
         f"<TorchDataset of label of <toy train: 18 clouds of 8 points, 2 classes, in {folder}>>"
     )
-    about = "<Classifier papnet-steered as it comes with partialbench: trained on "
+    about = "<Classifier papnet-steered, trained on "
     assert repr(pb.load_model()).startswith(about)
 
 
