@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from baselines import edges, points, shared_mlp
+from baselines import chunks, edges, maximum, points, shared_mlp
 from baselines.balls import without_padding
 from baselines.dgcnn import SLOPE, EdgeConv
 from baselines.pointnet2 import GroupLinear
@@ -125,12 +125,17 @@ class TestLayers:
         assert check(shared_mlp._Moments.apply, (values(9, 3), 9, None))
         assert check(shared_mlp._Moments.apply, (values(9, 3), int(weight.sum()), weight))
         assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
-        monkeypatch.setattr(shared_mlp, "FEW_ROWS", 0)  # by visits to the chosen rows
+        # By visits to the chosen rows:
+        monkeypatch.setattr(shared_mlp, "FEW_ROWS", dict.fromkeys((False, True), 0))
         assert check(shared_mlp._LinearMax.apply, (values(3, 6, 2), values(4, 2), values(4)))
         assert check(edges._EdgeMoments.apply, (values(1, 7, 3), values(1, 5, 3), index))
-        centre = torch.arange(5).repeat_interleave(4)
-        assert check(edges._EdgeReLU.apply, (values(7, 3), values(5, 3), index.flatten(), centre))
+        padded = torch.tensor([[[4, 5, 4, 4], [0, 0, 0, 0], [1, 2, 3, 6], [2, 1, 2, 2]]])
+        balls = without_padding(padded, 7)
+        assert len(balls.blocks) > 1
+        inputs = values(7, 3), values(4, 3), balls, torch.float64
+        assert check(edges._EdgeReLU.apply, inputs)
         assert check(edges._NeighbourMax.apply, (values(7, 3), index))
+        assert check(maximum.kept_max, values(3, 6, 2))
 
     def test_work_in_parts_gives_the_same(
         self, monkeypatch: pytest.MonkeyPatch, clouds: Tensor
@@ -141,21 +146,25 @@ class TestLayers:
         whole.square().sum().backward()
         gradients = [p.grad for p in mlp.parameters()]
         mlp.zero_grad()
-        monkeypatch.setattr(shared_mlp, "CHUNK", 64)
+        monkeypatch.setattr(chunks, "CHUNK", 64)
         parts = mlp.max(clouds)
         parts.square().sum().backward()
         torch.testing.assert_close(parts, whole, atol=1e-5, rtol=1e-5)
         for parameter, gradient in zip(mlp.parameters(), gradients, strict=True):
             torch.testing.assert_close(parameter.grad, gradient, atol=1e-3, rtol=1e-4)
 
-    @pytest.mark.parametrize("size", [20, 300], ids=["bytes", "whole numbers"])
-    def test_of_equal_values_the_first_is_the_maximum(self, size: int) -> None:
-        y = torch.randint(0, 3, (9, size, 5)).float() - 1
-        top, index = torch.empty(9, 5), torch.empty(9, 5, dtype=torch.int32)
-        shared_mlp.maximum(y, top, index)
+    @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+    @pytest.mark.parametrize("size", [1, 300, 40_000])
+    def test_of_equal_values_the_first_is_the_maximum(self, size: int, dtype: torch.dtype) -> None:
+        y = torch.randint(0, 3, (2, size, 5)).to(dtype) - 1
+        top, index = y.new_empty(2, 5), torch.empty(2, 5, dtype=torch.int32)
+        maximum.maximum(y.clone(), top, index)
         assert torch.equal(top, y.amax(dim=1))
         first = [[row.tolist().index(row.max()) for row in cloud.T] for cloud in y]
         assert index.tolist() == first
+        d_top = torch.randn(2, 5).to(dtype)
+        expected = torch.zeros_like(y).scatter(1, index.long()[:, None], d_top[:, None])
+        assert torch.equal(maximum.spread(d_top, index, size), expected)
 
     @pytest.mark.parametrize("layers", [(48, 16), (4, 16)], ids=["from the rows", "by covariances"])
     def test_half_precision_stays_near_full(self, layers: tuple[int, int]) -> None:
