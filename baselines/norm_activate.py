@@ -86,18 +86,20 @@ class NormActivate(torch.autograd.Function):
 class PlainNormActivate(torch.autograd.Function):
     """The same of rows that count alike, in one process, y not centred.
 
-    apply(y (R,C), gain, bias (C,), eps, slope) → the rows, mean and variance over them. Arithmetic
-    is in full precision whatever y is.
+    apply(y (R,C), gain, bias and constant (C,), eps, slope) → the rows, mean and variance of
+    y + constant over them, cancelled as above. Arithmetic is in full precision.
     """
 
     @staticmethod
     def forward(
-        ctx: Any, y: Tensor, gain: Tensor, bias: Tensor, eps: float, slope: float
-    ) -> tuple[Tensor, Tensor, Tensor]:
+        ctx: Any, y: Tensor, gain: Tensor, bias: Tensor, constant: Tensor | None, eps: float,
+        slope: float,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
         out, mean, inverse = torch.native_batch_norm(y, gain, bias, None, None, True, 0.0, eps)
         activate_(out, slope)
         ctx.save_for_backward(y, out if slope != 1 else None, gain, mean, inverse)
-        ctx.eps, ctx.slope = eps, slope
+        ctx.eps, ctx.slope, ctx.constant = eps, slope, constant is not None
+        mean = mean if constant is None else mean + constant
         var = inverse.square().reciprocal_().sub_(eps).clamp_min_(0)
         ctx.mark_non_differentiable(mean, var)
         return out, mean, var
@@ -111,7 +113,8 @@ class PlainNormActivate(torch.autograd.Function):
         d_y, d_gain, d_bias = torch.ops.aten.native_batch_norm_backward(
             d_out, y, gain, None, None, mean, inverse, True, ctx.eps, [True, True, True]
         )
-        return d_y, d_gain, d_bias, None, None
+        d_constant = torch.zeros_like(d_bias) if ctx.constant else None
+        return d_y, d_gain, d_bias, d_constant, None, None
 
 
 def column_sums(values: Tensor, w: Tensor | None) -> Tensor:

@@ -166,8 +166,11 @@ def linear_max(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """(…,n,C_in) → (…,C_out): the maximum over n of x·weightᵀ + bias."""
     if x.shape[-1] > FEW_INPUTS:
         x, weight, bias = autocast(x, weight, bias)
+    else:
+        x = x.to(weight.dtype)
     groups = x.reshape(-1, *x.shape[-2:])
-    return _LinearMax.apply(groups, weight, bias).view(*x.shape[:-2], -1)
+    with torch.autocast(x.device.type, enabled=False):
+        return _LinearMax.apply(groups, weight, bias).view(*x.shape[:-2], -1)
 
 
 class Normed(nn.Module):
@@ -262,8 +265,10 @@ class NormLinear(Normed):
         weight, bias, norm = self.linear.weight, self.linear.bias, self.norm
         if balls is None and world_size() == 1:
             y, count = linear(rows, weight), len(rows)
-            out, mean, var = PlainNormActivate.apply(y, norm.weight, norm.bias, norm.eps, slope)
-            self._track(mean if bias is None else mean + bias.detach(), var, count)
+            out, mean, var = PlainNormActivate.apply(
+                y, norm.weight, norm.bias, bias, norm.eps, slope
+            )
+            self._track(mean, var, count)
             return out.view(*x.shape[:-1], outputs)
         count = len(rows) if balls is None else balls.index.numel()
         with torch.no_grad(), torch.autocast(x.device.type, enabled=False):
