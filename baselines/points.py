@@ -137,7 +137,11 @@ def knn(points: Tensor, k: int) -> Tensor:
 
 @_geometry
 def farthest_points(
-    points: Tensor, count: int, start: Tensor | None = None, repeat: bool = True
+    points: Tensor,
+    count: int,
+    start: Tensor | None = None,
+    repeat: bool = True,
+    favour: Tensor | None = None,
 ) -> Tensor:
     """Farthest point sampling: indices (B,count) of points each farthest from those before it.
 
@@ -151,6 +155,8 @@ def farthest_points(
             it in evaluation.
         repeat: without, no index is chosen twice and points that coincide come last; ``count`` is
             then at most N.
+        favour: (B,N) added to each point's squared distance: which of those that are as far is
+            taken. By default rounding says.
     """
     batch, number, _ = points.shape
     planes = full_precision(points).mT.contiguous()
@@ -160,7 +166,8 @@ def farthest_points(
     chosen[:, 0] = last
     for step in range(1, count):
         pick = planes.gather(2, last[:, None, None].expand(-1, 3, 1))
-        torch.minimum(nearest, (planes - pick).square_().sum(dim=1), out=nearest)
+        square = (planes - pick).square_().sum(dim=1)
+        torch.minimum(nearest, square if favour is None else square.add_(favour), out=nearest)
         if not repeat:
             nearest.scatter_(1, last[:, None], -1)
         last = nearest.argmax(dim=1)

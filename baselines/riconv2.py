@@ -29,10 +29,17 @@ NEIGHBOURS = (8, 16, 32, 64)
 """Of the levels but the last, which takes all points. Of smaller clouds, as many as there are."""
 LEAST_ANGLE = math.acos(1 - 2**-23)
 """Radians: the release clamps cosines to 1 − 10⁻⁷, in float32 this."""
+TIE = 1e-4
+"""Where coordinates have few digits, many neighbours are equally far, and a turned cloud's own
+rounding would say which go first. This share of a neighbour's distance from the centroid tells them
+apart: far above rounding, far below what tells other neighbours apart."""
+COLLINEAR = 1e-5
+"""Radians within which a neighbour is at the angle of the ring's start."""
 QUIRKS = {
     "start": "farthest point sampling starts at index 0",
     "ring": "the last level's first point is on the left of its ring, wherever it is",
     "signs": "axes have the sign that LAPACK leaves, the ring's start the side that rounding says",
+    "ties": "which of two points as far goes first is left to rounding",
     "cross": "cross products are along the first axis of size 3: in a batch of three, the batch",
 }
 """What the release does that the row does not."""
@@ -59,7 +66,11 @@ def angle(a: Tensor, b: Tensor) -> Tensor:
 
 
 def ring_keys(
-    relative: Tensor, axis: Tensor, centre_first: bool, quirks: frozenset[str] = frozenset()
+    relative: Tensor,
+    axis: Tensor,
+    centre_first: bool,
+    quirks: frozenset[str] = frozenset(),
+    favour: Tensor | None = None,
 ) -> Tensor:
     """Where each neighbour stands on the ring round the axis: from +1, down, to −3 once round.
 
@@ -70,7 +81,8 @@ def ring_keys(
         relative: (…,n,3) neighbours less their point.
         axis: (…,3) unit.
         centre_first: the first neighbour is the point itself; it has no angle and its key is 0.
-        quirks: "signs" and "cross" of ``QUIRKS``.
+        quirks: "signs", "ties" and "cross" of ``QUIRKS``.
+        favour: (…,n) added to lengths: where the ring starts if two are as long.
 
     Returns:
         (…,n).
@@ -79,10 +91,11 @@ def ring_keys(
     across = relative - dot(relative, axis)[..., None] * axis
     length = torch.linalg.vector_norm(across, dim=-1)
     u = across / length.masked_fill(length == 0, 1)[..., None]
-    start = length.argmax(dim=-1, keepdim=True)
+    start = (length if favour is None else length + favour).argmax(dim=-1, keepdim=True)
     r = u.gather(-2, start[..., None].expand(*start.shape, 3))
     dim = u.shape.index(3) if "cross" in quirks else -1
-    left = dot(torch.linalg.cross(u, r.expand_as(u), dim=dim), axis) > 0
+    margin = 0 if quirks & {"signs", "ties"} else COLLINEAR
+    left = dot(torch.linalg.cross(u, r.expand_as(u), dim=dim), axis) > -margin
     if "signs" not in quirks:
         left.scatter_(-1, start, True)
     if centre_first:
@@ -175,10 +188,16 @@ class RIConv2(nn.Module):
         x = normalise(points.double(), radius=1.0)
         number = x.shape[1]
         start = None if "start" in self.quirks else farthest_from_centre(x)
+        favour = torch.linalg.vector_norm(x, dim=-1).mul_(0 if "ties" in self.quirks else TIE)
         # Each level's points are the first ones of this order, so one matrix serves them all.
-        order = farthest_points(x, number, start, repeat=False)
-        x = gather(x, order)
-        distance = distances(x, x)
+        order = farthest_points(x, number, start, repeat=False, favour=favour)
+        x, favour = gather(x, order), favour.gather(1, order)
+        # A flat cloud has no side away from its centroid; the sense of three far points is one.
+        side = TIE * unit(torch.linalg.cross(x[:, :1], x[:, min(2, number - 1)][:, None], dim=-1))
+        if "ties" in self.quirks:
+            side = torch.zeros_like(side)
+        # A point stays its own nearest: no other is nearer the centroid by more than it is away.
+        distance = distances(x, x) + favour[:, None]
         most = min(max(self.lra_neighbours, NEIGHBOURS[1]), number)
         nearest = distance.topk(most, dim=-1, largest=False).indices
         if normals is not None:
@@ -188,27 +207,27 @@ class RIConv2(nn.Module):
             n = local_axes(gather(x, near) - x[:, :, None])
             if "signs" not in self.quirks:
                 away = -camera_ray(points)[:, None].double() if self.orient == "camera" else x
-                n = facing(n, away)
-        cloud, levels = torch.cat([x, n], dim=-1), []
+                n = facing(n, away + side)
+        cloud, levels = torch.cat([x, n, favour[..., None]], dim=-1), []
         before, count = number, min(number, self.centres)
         for k in NEIGHBOURS:
             if before == number and min(k, number) <= most:
                 near = nearest[:, :count, :k]
             else:
                 near = distance[:, :count, :before].topk(min(k, before), dim=-1, largest=False)[1]
-            p, axis = cloud[:, :count].split(3, dim=-1)
+            p, axis, _ = cloud[:, :count].split((3, 3, 1), dim=-1)
             levels.append(self._level(cloud, near, p, axis))
             before, count = count, max(1, count // 2)
-        return [*levels, self._whole(cloud[:, :before])]
+        return [*levels, self._whole(cloud[:, :before], side)]
 
-    def _whole(self, cloud: Tensor) -> Level:
+    def _whole(self, cloud: Tensor, side: Tensor) -> Level:
         """The level of all points left, round their centroid but seen from the cloud's."""
         x = cloud[..., :3]
         centroid = x.mean(dim=1, keepdim=True)
         relative = x - centroid
         axis = local_axes(relative)[:, None]
         if "signs" not in self.quirks:
-            skew = dot(relative, axis).pow(3).sum(dim=1)
+            skew = dot(relative, axis).pow(3).sum(dim=1) + TIE * dot(side, axis)[:, 0]
             axis = torch.where(skew[:, None, None] < 0, -axis, axis)
         near = torch.arange(x.shape[1], device=x.device).expand(len(x), 1, -1)
         return self._level(cloud, near, centroid, axis, whole=True)
@@ -218,9 +237,15 @@ class RIConv2(nn.Module):
     ) -> Level:
         grouped = gather(cloud, near)
         centre_first = not whole or "ring" in self.quirks
-        key = ring_keys(grouped[..., :3] - p[:, :, None], axis, centre_first, self.quirks)
-        key, order = key.sort(dim=-1, descending=True, stable=True)
-        x, n = grouped.gather(2, order[..., None].expand_as(grouped)).split(3, dim=-1)
+        relative, favour = grouped[..., :3] - p[:, :, None], grouped[..., 6]
+        key = ring_keys(relative, axis, centre_first, self.quirks, favour)
+        # Of neighbours at one angle the nearer comes first.
+        far = torch.linalg.vector_norm(relative, dim=-1)
+        share = far / far.amax(dim=-1, keepdim=True).clamp_min(1e-12)
+        place = key if "ties" in self.quirks else key - TIE * share
+        order = place.sort(dim=-1, descending=True, stable=True).indices
+        key = key.gather(-1, order)
+        x, n, _ = grouped.gather(2, order[..., None].expand_as(grouped)).split((3, 3, 1), dim=-1)
         seen = x if whole else x - p[:, :, None]
         features = invariants(x, n, seen, axis, key, self.signed_angles)
         return Level(near.gather(-1, order), features)

@@ -15,12 +15,12 @@ from partialbench.benchmark.records.predictions import Predictions
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.metrics import shared_clouds
 from partialbench.benchmark.testing.uncertainty import (
-    bootstrap_intervals,
     difference_intervals,
     holm,
     indistinguishable_groups,
     paired_p_values,
     seed_test,
+    share_intervals,
 )
 from partialbench.errors import InputError
 
@@ -58,7 +58,7 @@ def compare(column: Column, folder: Path) -> Comparison:
     """
     names = ranked(column)
     values, object_ids, seed_means = _correct(column, names, folder)
-    bounds = bootstrap_intervals(values, object_ids)
+    bounds = share_intervals(values, object_ids)
     first, second = np.triu_indices(len(names), 1)
     raw = paired_p_values(values, object_ids)
     over_seeds = seed_test(values, object_ids, seed_means)

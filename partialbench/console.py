@@ -6,6 +6,7 @@ import contextlib
 import json
 import logging
 import os
+import signal
 import sys
 import warnings
 from collections.abc import Iterator
@@ -71,6 +72,16 @@ def continued_by(what: str) -> Iterator[None]:
     except KeyboardInterrupt:
         stderr.print(f"interrupted; what was finished is kept, {what} continues it")
         raise typer.Exit(130) from None
+
+
+@contextlib.contextmanager
+def ended_as_by_ctrl_c() -> Iterator[None]:
+    """SIGTERM, which ends jobs of Slurm and containers, is taken as Ctrl-C: work is put down."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def given(**options: Any) -> dict[str, Any]:

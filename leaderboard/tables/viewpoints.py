@@ -23,7 +23,7 @@ from leaderboard.comparison import counted
 from leaderboard.tables.plain import csv_cell
 from partialbench.benchmark.records.predictions import Predictions
 from partialbench.benchmark.testing.metrics import VISIBILITY_EDGES, best_pose_errors_deg
-from partialbench.benchmark.testing.uncertainty import bootstrap_intervals, median_interval
+from partialbench.benchmark.testing.uncertainty import median_interval, share_intervals
 
 FRACTION, DISTANCE, ELEVATION = "visible fraction", "distance", "elevation"
 EDGES: dict[str, tuple[float, ...]] = {
@@ -109,7 +109,7 @@ def curves_over(
         if clouds < LEAST:
             continue
         means = right[inside].mean(axis=0)
-        bounds = bootstrap_intervals(right[inside], object_ids[inside])
+        bounds = share_intervals(right[inside], object_ids[inside])
         for row, errors in enumerate(pose_deg):
             pose: tuple[float | None, ...] = ()
             if errors is not None:

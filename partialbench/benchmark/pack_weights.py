@@ -24,7 +24,7 @@ from partialbench.benchmark.protocol.split import balanced_subset
 from partialbench.benchmark.records import weights
 from partialbench.benchmark.records.results import describe_data
 from partialbench.benchmark.testing.evaluate import run_model
-from partialbench.benchmark.testing.uncertainty import bootstrap_intervals
+from partialbench.benchmark.testing.uncertainty import share_intervals
 from partialbench.benchmark.training import checkpoint, packed
 from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.dataset import manifest as manifests
@@ -145,7 +145,7 @@ def _tested(classifier: Classifier, folder: Path, most_clouds: int | None) -> di
         assert isinstance(answer, Answer)
         right[i] = answer.class_name == data.class_names[data.labels[row]]
     objects = data.object_ids[rows]
-    (interval,) = bootstrap_intervals(right[:, None], objects)
+    (interval,) = share_intervals(right[:, None], objects)
     return {
         "data": {**asdict(describe_data(data, rows)), "class_names": None},  # its digest tells
         "answered": len(rows),

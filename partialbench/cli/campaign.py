@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from partialbench.cli.verbs import Verbs
-from partialbench.console import Json, continued_by, print_result, stderr
+from partialbench.console import Json, continued_by, ended_as_by_ctrl_c, print_result, stderr
 
 commands = Verbs("Tables")
 campaign = Verbs(help="Every run of a board from one file: what is done, what is missing.")
@@ -63,6 +63,13 @@ def run_missing(
             show_default="all",
         ),
     ] = None,
+    up_to: Annotated[
+        str | None,
+        typer.Option(
+            help="the last milestone to train to: 25k, 100k", show_default="the file's last"
+        ),
+    ] = None,
+    trials: Annotated[bool, typer.Option(help="also the trials of the file's [[tune]]")] = True,
     time_limit: Annotated[
         str | None,
         typer.Option(help="save and leave after 45s, 170m or 3h; exit status 75 if jobs are left"),
@@ -82,9 +89,10 @@ def run_missing(
     from partialbench.benchmark.campaign.file import load
     from partialbench.benchmark.campaign.run import run
 
-    with continued_by("the same command"):
+    with continued_by("the same command"), ended_as_by_ctrl_c():
         found = run(
-            load(file), jobs=workers, device=device, only=only or (),
+            load(file), jobs=workers, device=device, only=only or (), up_to=up_to,
+            trials=trials,
             time_limit_s=None if time_limit is None else seconds(time_limit),
             scheduler=scheduler, retry_failed=retry_failed,
             say=lambda text: stderr.print(text, markup=False),

@@ -96,3 +96,32 @@ def test_sampling_without_repeats_is_a_permutation() -> None:
     assert math.isclose(
         float(points[0, order[0, :20]].sum()), float(points[0, :20].sum()), abs_tol=1e-4
     )
+
+
+def on_a_lattice(rng: np.random.Generator, flat: bool) -> torch.Tensor:
+    """Clouds (4,160,3) of three walls, or one, whose coordinates are small whole numbers."""
+    places = np.stack(np.meshgrid(*3 * [np.arange(9)], indexing="ij"), axis=-1).reshape(-1, 3)
+    walls = places[(places[:, 0] == 0) if flat else (places == 0).any(axis=1)]
+    extra = rng.uniform(0, 8, size=(4, 100, 3)) * ([0, 1, 1] if flat else [1, 1, 1])
+    return torch.stack(
+        [
+            torch.from_numpy(np.concatenate([rng.permutation(walls)[:60], loose])).float()
+            for loose in extra
+        ]
+    )
+
+
+@pytest.mark.parametrize("flat", [False, True], ids=["walls", "flat"])
+def test_ties_are_not_left_to_the_turned_coordinates_rounding(
+    rng: np.random.Generator, flat: bool
+) -> None:
+    points = on_a_lattice(rng, flat)
+    points = (points - points.mean(dim=1, keepdim=True)) / 8
+    turned = points @ torch.from_numpy(haar_rotations(rng, 4)).float().mT
+
+    def moved(**options: object) -> float:
+        before = answers(points, **options)
+        return float((answers(turned, **options) - before).abs().max() / before.abs().max())
+
+    assert moved() <= 1e-4
+    assert moved(quirks="ties") > 1e-3

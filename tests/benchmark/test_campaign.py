@@ -189,6 +189,19 @@ def test_an_earlier_pattern_comes_first_within_a_milestone(campaign, in_this_pro
     assert in_this_process[2] == ("train", "Posed", 64)
 
 
+def test_what_lies_beyond_the_last_milestone_asked_for_waits(campaign, in_this_process):
+    # Nor are data rendered that only later milestones need.
+    shutil.rmtree(campaign.work / "data" / "other")
+    after = running.run(campaign, jobs=1, up_to="32")
+    assert in_this_process == [("train", "Bare", 32), ("train", "Posed", 32)]
+    assert {job.clouds for job in after.missing} == {64}
+    assert not (campaign.work / "data" / "other").exists()
+    with pytest.raises(InputError, match="positive whole number such as 25000, 100k or 1M"):
+        running.run(campaign, jobs=1, up_to="soon")
+    running.run(campaign, jobs=1, only=["*Bare"], trials=False)
+    assert in_this_process[2:] == [("train", "Bare", 64)]
+
+
 def test_data_that_cannot_be_rendered_cost_their_own_jobs_alone(campaign, in_this_process):
     shutil.rmtree(campaign.work / "data" / "other")
     text = campaign.path.read_text()
@@ -278,3 +291,31 @@ def test_processes_end_with_the_same_answers_however_they_ran(campaign, in_this_
         assert again.predictions_sha256 == record.predictions_sha256
         assert again.weights_sha256 == record.weights_sha256
         assert again.scores == record.scores
+
+
+@pytest.mark.slow
+def test_a_termination_leaves_no_rendering_behind(campaign):
+    """As Slurm ends a job: what was rendering ends too, and the same command goes on."""
+    shutil.rmtree(campaign.work)
+    text = campaign.path.read_text().replace("--counts 1,1", "--counts 300,1")
+    campaign.path.write_text(text)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "partialbench.cli", "campaign", "run", "board.toml"],
+        cwd=campaign.path.parent, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    folder = campaign.work / "data" / "toy"
+
+    def renderers():
+        commands = [path.read_bytes() for path in Path("/proc").glob("[0-9]*/cmdline")]
+        return [c for c in commands if b"render" in c and str(folder).encode() in c]
+
+    while not list(folder.glob("*.h5")):
+        assert process.poll() is None
+        time.sleep(0.2)
+    assert renderers()
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(30) == 130
+    assert "the same command continues it" in process.stderr.read()
+    time.sleep(1)
+    assert renderers() == []

@@ -17,6 +17,7 @@ from partialbench.benchmark.testing.uncertainty import (
     paired_p_value,
     paired_p_values,
     seed_test,
+    share_intervals,
 )
 
 
@@ -53,6 +54,19 @@ def test_degenerate_intervals():
     assert np.array_equal(*again)
     with pytest.raises(ValueError, match="M ≥ 1"):
         bootstrap_intervals(np.ones((0, 1)), np.zeros(0))
+
+
+def test_a_share_that_every_cloud_agrees_on_is_not_known_to_the_digit():
+    """Hanley and Lippman-Hand 1983: of n that never fail, 3/n may (one-sided 95 %)."""
+    ids = np.repeat(np.arange(15), 2)
+    right = np.stack([np.ones(30), np.zeros(30), np.arange(30) % 2], axis=1)
+    (all_low, all_high), (no_low, no_high), mixed = share_intervals(right, ids)
+    exact = stats.binomtest(15, 15).proportion_ci(method="exact")
+    assert (all_low, all_high) == pytest.approx((exact.low, 1.0))
+    assert (no_low, no_high) == pytest.approx((0.0, 1 - exact.low))
+    assert mixed.tolist() == bootstrap_intervals(right, ids)[2].tolist()
+    assert share_intervals(np.ones((30, 1)), ids, 0.9)[0, 0] == pytest.approx(0.05 ** (1 / 15))
+    assert np.isnan(share_intervals(np.ones((2, 1)), np.zeros(2))).all()
 
 
 def test_the_interval_of_a_median_resamples_whole_objects(rng):

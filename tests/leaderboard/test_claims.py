@@ -62,6 +62,18 @@ def test_the_longest_milestone_of_both_answers(tmp_path):
     assert cells[5].endswith("50k")
 
 
+def test_a_shorter_milestone_answers_too_where_both_rows_have_more_seeds(tmp_path):
+    for seed in (0, 1):
+        write(tmp_path, "one", 0.9, seed, milestone=25_000)
+        write(tmp_path, "two", 0.3, seed, milestone=25_000)
+    write(tmp_path, "one", 0.3, milestone=50_000)
+    write(tmp_path, "two", 0.9, milestone=50_000)
+    lines = answers(make_board(results.read_folder(tmp_path)), tmp_path, [CLAIM])
+    surest, longest = ([cell.strip() for cell in line.split("|")] for line in lines[2:])
+    assert (surest[3], surest[5], surest[6][-3:]) == ("yes (methods)", "2 and 2", "25k")
+    assert (longest[3], longest[5], longest[6][-3:]) == ("no (two networks)", "1 and 1", "50k")
+
+
 def test_claims_are_of_registered_models():
     for claim in CLAIMS:
         for row in (claim.better, claim.worse):

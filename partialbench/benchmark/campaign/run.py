@@ -31,6 +31,7 @@ from partialbench.benchmark.campaign.worker import (
     STOPPED,
     run_in_process,
 )
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.records.results import file_name
 from partialbench.dataset.executors import dask_cluster
 from partialbench.dataset.lock import sole_user
@@ -51,6 +52,8 @@ def run(
     jobs: int | None = None,
     device: str = "auto",
     only: Sequence[str] = (),
+    up_to: str | int | None = None,
+    trials: bool = True,
     time_limit_s: float | None = None,
     scheduler: str | None = None,
     retry_failed: bool = False,
@@ -62,6 +65,9 @@ def run(
         jobs: how many side by side; by default one a core, on CUDA one.
         only: patterns of model names, "papnet*", or of model and data set, "papnet*@clouds"; all
             without one. Of one milestone, jobs that fit an earlier pattern are begun first.
+        up_to: the last milestone that is trained to, as ``milestones.parse`` takes it; by default
+            the file's last.
+        trials: also those that the file's [[tune]] ask for.
         time_limit_s: after so long every training saves its state and the campaign ends.
         scheduler: of a Dask cluster whose workers see the same folders; ``jobs`` is then by default
             as many as it has threads.
@@ -78,6 +84,7 @@ def run(
             be rendered or are not what the file declares.
     """
     _check_options(campaign)
+    last = None if up_to is None else milestones.parse(up_to)
     campaign.results.mkdir(parents=True, exist_ok=True)
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
     with sole_user(campaign.work, "working on", "give it a folder of its own"):
@@ -91,7 +98,7 @@ def run(
             }  # fmt: skip
             kept = [f for f in job_files.read_failures(failures) if f["job"] not in tried]
             job_files.write_failures(failures, kept)
-        runner = _Runner(campaign, device, only, deadline, say)
+        runner = _Runner(campaign, device, only, last, trials, deadline, say)
         try:
             with _executor(scheduler, jobs, device) as (executor, width):
                 runner.render(width, scheduler)
@@ -146,10 +153,11 @@ class _Runner:
     """One run of a campaign: what is running, and where it is told to stop."""
 
     def __init__(
-        self, campaign: Campaign, device: str, only: Sequence[str], deadline: float | None,
-        say: Callable[[str], None],
+        self, campaign: Campaign, device: str, only: Sequence[str], last: int | None,
+        trials: bool, deadline: float | None, say: Callable[[str], None],
     ) -> None:  # fmt: skip
-        self.campaign, self.device, self.only = campaign, device, only
+        self.campaign, self.device = campaign, device
+        self.only, self.last, self.trials = only, last, trials
         self.deadline, self.say = deadline, say
         self.stop = campaign.work / f"stop-{os.getpid()}"
         self.running: dict[Future, Job] = {}
@@ -162,6 +170,10 @@ class _Runner:
     def wanted(self, job: Job) -> bool:
         needed = {job.data, *(test.data for test in job.tests if not test.cell)}
         if not needed.isdisjoint(self.unrendered):
+            return False
+        if self.last is not None and job.clouds > self.last:
+            return False
+        if job.kind == "tune" and not self.trials:
             return False
         return _matches(job, self.only) is not None
 

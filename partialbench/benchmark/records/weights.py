@@ -166,10 +166,11 @@ def in_a_sentence(card: dict[str, Any]) -> str:
         f"{100 * one['accuracy']:.1f} % of {one['answered']:,} {one['source']}"
         for one in card["tests"]
     )
+    under = "" if card["licence"] == "MIT" else f"; terms: {card['licence']}"
     return (
-        f"{identity['model']} as it comes with partialbench: trained on {card['clouds_seen']:,} "
-        f"clouds of {data['id']} ({len(identity['class_names'])} classes, {data['setting']} views, "
-        f"{identity['num_points']} points); names rightly {tested}"
+        f"{identity['model']}, trained on {card['clouds_seen']:,} clouds of {data['id']} "
+        f"({len(identity['class_names'])} classes, {data['setting']} views, "
+        f"{identity['num_points']} points); names rightly {tested}{under}"
     )
 
 

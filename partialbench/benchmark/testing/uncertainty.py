@@ -70,6 +70,24 @@ def bootstrap_intervals(
     return np.stack(_bounds(means, confidence), axis=1)
 
 
+def share_intervals(
+    right: NDArray, object_ids: NDArray, confidence: float = 0.95
+) -> NDArray[np.float64]:
+    """``bootstrap_intervals`` of shares of clouds that are right, (M,R) between 0 and 1.
+
+    Where all are right, or none, every resampling says the same; the interval is then the exact one
+    of as many draws as there are objects (Clopper and Pearson 1934), so 15 of 15 is 78 to 100 %.
+    """
+    bounds = bootstrap_intervals(right, object_ids, confidence)
+    sums, counts = per_object(right, object_ids)
+    n = len(counts)
+    if n > 1:
+        margin = 1 - ((1 - confidence) / 2) ** (1 / n)
+        bounds[(sums == 0).all(axis=0), 1] = margin
+        bounds[(sums == counts[:, None]).all(axis=0), 0] = 1 - margin
+    return bounds
+
+
 def bootstrap_means(
     values: NDArray, object_ids: NDArray, resamples: int = RESAMPLES, seed: int = 0
 ) -> NDArray[np.float64]:
