@@ -7,8 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.points import gather
 from baselines.chunks import chunks
+from baselines.points import gather
 from papnet.steered import edge_layer
 from papnet.steered.edge_layer import EdgeLayer, collect_edges
 
