@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from partialbench import extras, user_code
+from partialbench import extras, given, user_code
 from partialbench import options as option_types
 from partialbench.errors import InputError
 
@@ -167,6 +167,9 @@ OCCLUDERS: dict[str, str] = {
 READ_SHAPE = "renderers.sources.single:read_shape"
 """One mesh or cloud, a file or in memory, in the unit ball."""
 
+MAKE_SENSOR = "renderers.sensors:make_sensor"
+"""A depth sensor by name and strength."""
+
 PICK_VARIANT = "renderers.variants:pick_variant"
 """Tries a Mitsuba variant."""
 
@@ -205,10 +208,10 @@ def load(entry: str) -> Any:
         raise InputError(f"module {module_name!r} has no {attribute!r}{near}") from None
 
 
-def close_matches(name: str, known: Iterable[str]) -> str:
+def close_matches(name: Any, known: Iterable[str]) -> str:
     """ "; did you mean a, b?", or "; known: …" when nothing is close."""
     known = sorted(known)
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    near = difflib.get_close_matches(str(name), known, n=3, cutoff=0.5)
     if near:
         return f"; did you mean {', '.join(near)}?"
     return f"; known: {', '.join(known)}" if known else ""
@@ -258,6 +261,8 @@ def list_models(pattern: str = "*", pretrained: bool = False) -> list[str]:
     """
     from partialbench.benchmark.records import weights  # pydantic, not by every --help
 
+    if not isinstance(pattern, str):
+        raise InputError(f"a pattern of names is a text such as 'pointnet*', got {pattern!r}")
     packed = weights.names()
     return [
         name
@@ -278,6 +283,7 @@ def create(name: str, num_classes: int, **options: Any) -> nn.Module:
         A module that takes (B,N,3) camera-frame clouds and returns a ``Prediction``; a user's own
         factory may return a module with bare (B,K) logits.
     """
+    num_classes = given.whole_number(num_classes, "num_classes")
     if num_classes < 2:
         raise InputError(f"a classifier needs two classes or more, got {num_classes}")
     factory = factory_of(name)

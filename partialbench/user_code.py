@@ -26,14 +26,22 @@ _DIGEST = "__partialbench_source_sha256__"
 
 
 def is_own(name: str) -> bool:
-    """Whether a model's name is a user's "module:factory", not a registered one."""
+    """Whether a model's name is a user's "module:factory", not a registered one.
+
+    Raises:
+        InputError: what is no name at all, such as the factory itself.
+    """
+    if not isinstance(name, str):
+        raise InputError(f"a model is named by a text such as 'my_model:make', got {name!r}")
     return ":" in name
 
 
 def named(name: str) -> str:
     """The name that stands in records: a file under the current folder is told from there."""
-    module, colon, factory = name.rpartition(":")
-    if not colon or not _is_file(module):
+    if not is_own(name):
+        return name
+    module, _, factory = name.rpartition(":")
+    if not _is_file(module):
         return name
     path = Path(os.path.normpath(module))
     if path.is_absolute() and path.is_relative_to(Path.cwd()):

@@ -66,17 +66,6 @@ def hidden_point_removal(
     return _visible(_cloud(points), _viewpoint(viewpoint), radius)
 
 
-def visible_sets(
-    points: ArrayLike, viewpoints: ArrayLike, radius: float
-) -> list[NDArray[np.int64]]:
-    """``hidden_point_removal`` of one cloud (N,3) from V viewpoints (V,3), in their order."""
-    points = _cloud(points)
-    viewpoints = np.asarray(viewpoints, np.float64)
-    if viewpoints.ndim != 2 or viewpoints.shape[1] != 3:
-        raise InputError(f"viewpoints must have the shape (V,3), got {viewpoints.shape}")
-    return [_visible(points, _viewpoint(viewpoint), radius) for viewpoint in viewpoints]
-
-
 def _cloud(points: ArrayLike) -> NDArray[np.float64]:
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:

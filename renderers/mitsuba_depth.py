@@ -16,12 +16,16 @@ from partialbench.geometry.camera import Camera, fit_ball
 from renderers import occlusion
 from renderers.normals import face_normals, towards_camera
 from renderers.sensors import make_sensor
-from renderers.stereo import Stereo, require_opencv
+from renderers.stereo import NEAREST_RADII, Stereo, require_opencv
 from renderers.tracing import Tracer, make_tracer
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
 
+MOST_PIXELS = 2**28
+"""Of one image: Mitsuba's arrays end at 2³² numbers, and a ray has more than one."""
+
 NOTHING_SEEN = "no surface at any pixel centre"
+TOO_NEAR = f"nearer than {NEAREST_RADII:g} units, where a stereo sensor sees nothing"
 
 Pose = tuple[NDArray, NDArray]
 
@@ -65,6 +69,10 @@ class MitsubaOccluder:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
                 raise InputError(f"{name} must be a whole number of at least 1, got {value!r}")
+        if self.resolution**2 > MOST_PIXELS:
+            raise InputError(
+                f"resolution must be at most {int(MOST_PIXELS**0.5)}, got {self.resolution}"
+            )
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
         require_share(self.occluders)
@@ -167,6 +175,9 @@ class MitsubaOccluder:
                     continue
                 lines = sight_lines(samples, -R[k].T @ t[k])
                 seen[k] &= occlusion.unhidden(before, pool, R[k], *lines)
+            if isinstance(sensor, Stereo) and np.linalg.norm(t[k]) < NEAREST_RADII:
+                views.append(RejectedView(TOO_NEAR, {"units": float(np.linalg.norm(t[k]))}))
+                continue
             if isinstance(sensor, Stereo):
                 parts = [((vertices @ R[k].T + t[k]).astype(np.float32), faces)]
                 parts += [occlusion.placed(each, *meshes[each.shape]) for each in before]

@@ -258,6 +258,8 @@ def make_sensor(spec: str, **options: Any) -> Sensor:
         InputError: unknown names (with close matches), a strength that is no positive number or
             that the sensor does not have, unknown options.
     """
+    if not isinstance(spec, str):
+        raise InputError(f"a sensor is named by a text such as 'tof:0.5', got {spec!r}")
     name, colon, strength = spec.partition(":")
     if name not in SENSORS:
         raise InputError(f"no sensor named {name!r}{close_matches(name, SENSORS)}")

@@ -37,6 +37,9 @@ ALBEDO = (0.15, 0.7)
 """Between which the share of light that an object sends back is drawn."""
 DARK_ALBEDO = (0.02, 0.06)
 """The same of its dark part."""
+NEAREST_RADII = 1.25
+"""From the camera to the object's centre, at least: nearer, its image and the disparities to look
+for grow without bound."""
 WALL_RADII = 1.6
 """Of the wall behind the object, from its centre. A capture is cropped to what lies before it."""
 

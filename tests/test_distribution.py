@@ -76,7 +76,9 @@ def test_wheel_and_source_archive_install_and_run(tmp_path):
     assert {name for name in held if not name.endswith(".dist-info")} == packages
     weights = [f"partialbench/weights/{path.name}" for path in WEIGHTS.iterdir() if path.is_file()]
     assert set(weights) <= set(zipfile.ZipFile(wheel).namelist())
+    assert not any("leaderboard/weights" in n for n in zipfile.ZipFile(wheel).namelist())
     with tarfile.open(archive) as tar:
+        assert not any("leaderboard/weights" in n for n in tar.getnames())
         inside = {name.split("/")[1] for name in tar.getnames() if "/" in name}
     assert {"tests", "docs", "LICENSE", "README.md", "constraints.txt"} <= inside
 

@@ -87,7 +87,8 @@ def test_the_light_import_check_can_fail():
 @pytest.mark.parametrize(
     "entry",
     [*registry.SOURCES.values(), *registry.OCCLUDERS.values(), *registry.RELEASES.values(),
-     registry.OPEN_SOURCE, registry.READ_SHAPE, registry.PICK_VARIANT, registry.LEADERBOARD,
+     registry.OPEN_SOURCE, registry.READ_SHAPE, registry.PICK_VARIANT, registry.MAKE_SENSOR,
+     registry.LEADERBOARD,
      registry.BOARD_FILES, registry.WRITE_BOARD, registry.SHAPE_EXPORT],
 )  # fmt: skip
 def test_every_entry_of_the_tables_loads(entry):

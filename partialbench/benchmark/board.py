@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from partialbench import extras, registry
+from partialbench import extras, given, registry
 from partialbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,7 +38,8 @@ class Board:
 
     def save(self, out: Path | str) -> list[Path]:
         """Writes all files into a folder, in place of an earlier board; returns their paths."""
-        written: list[Path] = registry.load(registry.WRITE_BOARD)(Path(out), self.files)
+        folder = given.path(out, "the board's folder")
+        written: list[Path] = registry.load(registry.WRITE_BOARD)(folder, self.files)
         return written
 
     def __repr__(self) -> str:
@@ -59,10 +60,10 @@ def leaderboard(
     results: Path | str,
     *,
     check: bool = False,
-    data: Sequence[Path | str] = (),
+    data: Path | str | Sequence[Path | str] = (),
     figures: bool = False,
     on_progress: Callable[[int, int], None] | None = None,
-    look_in: Sequence[Path | str] = (),
+    look_in: Path | str | Sequence[Path | str] = (),
 ) -> Board:
     """The tables of a folder of records: what ``partialbench leaderboard`` writes.
 
@@ -90,4 +91,6 @@ def leaderboard(
             f"{type(results).__name__}: a table is made from the stored predictions"
         )
     make = registry.load(registry.BOARD_FILES)
-    return Board(make(results, check, data, figures, on_progress, look_in))
+    tested = [given.path(one, "a data folder") for one in given.several(data, "data")]
+    places = [given.path(one, "a folder") for one in given.several(look_in, "look_in")]
+    return Board(make(results, check, tested, figures, on_progress, places))

@@ -7,11 +7,14 @@ import logging
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from partialbench import given
 from partialbench.dataset.cloud_files import FORMATS, read_cloud
+from partialbench.dataset.ply import is_mesh
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 
@@ -56,46 +59,47 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
             all on a line, or of an extent that 32 bits cannot work with.
     """
     if not path.is_file():
-        raise InputError(f"no file at {path}")
+        where = "is a folder; give one of its files" if path.is_dir() else "is not there"
+        raise InputError(f"no file at {path}: it {where}")
     kind = path.suffix.lower()
     if kind not in (*FORMATS, *IMAGES):
+        mesh = kind in (".off", ".obj", ".stl", ".glb", ".gltf", ".dae")
         raise InputError(
             f"{path}: {kind or 'a file without suffix'} is not read; give a cloud "
             f"({', '.join(FORMATS)}) or a depth image ({', '.join(IMAGES)}, .npy)"
+            + ("; of a mesh render a view first (partialbench.render_view)" if mesh else "")
         )
     try:
         content = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error}") from error
-    image = _image(content, path, K)
+    matrix = _intrinsics(K)
+    image = _image(content, path, matrix)
     if image is not None:
-        points = _from_depth(path, image, K, depth_scale)
+        points = _from_depth(path, image, matrix, depth_scale)
         points = points[np.isfinite(points).all(axis=1)]
     else:
         points = read_cloud(content, str(path), drop_unmeasured=True)
+        if kind == ".ply" and is_mesh(content):
+            log.warning(
+                "%s is a mesh: its %d vertices are taken for the points of a scan; of a CAD model "
+                "render a view first (partialbench.render_view)", path, len(points),
+            )  # fmt: skip
         if kind in (".xyz", ".txt", ".csv", ".pts"):
             _say_columns(path, _columns_of_text(content))
     return shaped(points, path)
 
 
-def given_points(points: ArrayLike, name: str = "the cloud") -> NDArray[np.float64]:
+def given_points(points: Any, name: str = "the cloud") -> NDArray[np.float64]:
     """The finite points (n,3) float64 of a cloud in memory, as ``read_points`` gives a file's.
 
     Args:
-        points: (N,3) of any real dtype, an array or a tensor; further columns are refused.
+        points: (N,3), see ``given.cloud``.
 
     Raises:
-        InputError: no such array, or see ``read_points``.
+        InputError: see ``given.cloud`` and ``read_points``.
     """
-    if hasattr(points, "detach"):  # a tensor, on whatever device
-        points = points.detach().cpu().double().numpy()
-    array = np.asarray(points)
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"{name} is of type {array.dtype}; expected (N,3) real numbers")
-    if array.ndim != 2 or array.shape[1] != 3:
-        hint = "; transpose it" if array.ndim == 2 and array.shape[0] == 3 else ""
-        raise InputError(f"{name} has shape {array.shape}, expected (N,3){hint}")
-    array = array.astype(np.float64)
+    array = given.cloud(points, name).astype(np.float64)
     return shaped(array[np.isfinite(array).all(axis=1)], name)
 
 
@@ -144,7 +148,7 @@ def shaped(points: NDArray, path: Path | str) -> NDArray[np.float64]:
     return centred + (0.0, 0.0, 3 * radius)
 
 
-def _image(content: bytes, path: Path, K: ArrayLike | None) -> NDArray | None:
+def _image(content: bytes, path: Path, K: NDArray | None) -> NDArray | None:
     """What an image file holds, or an array that cannot be points; None for any other file."""
     kind = path.suffix.lower()
     if kind not in (*IMAGES, ".npy"):
@@ -176,7 +180,7 @@ def _image(content: bytes, path: Path, K: ArrayLike | None) -> NDArray | None:
     return None
 
 
-def _are_points(array: NDArray, K: ArrayLike | None) -> bool:
+def _are_points(array: NDArray, K: NDArray | None) -> bool:
     """Whether a 2-D array is of points, a row each, and not a very narrow image.
 
     Further columns of a cloud are intensity, colours or normals. Intrinsics decide where they can
@@ -191,8 +195,7 @@ def _are_points(array: NDArray, K: ArrayLike | None) -> bool:
         return False
     if K is None:
         return True
-    matrix = np.asarray(K, np.float64)
-    cx, cy = matrix[2:] if matrix.shape == (4,) else matrix[:2, 2]
+    cx, cy = K[:2, 2]
     return not (0 <= cx <= columns and 0 <= cy <= rows)
 
 
@@ -208,7 +211,23 @@ def _say_columns(path: Path, columns: int) -> None:
         log.warning("%s: of %d columns the first three are taken for x, y, z", path, columns)
 
 
-def _from_depth(path: Path, image: NDArray, K: ArrayLike | None, scale: float) -> NDArray:
+def _intrinsics(K: ArrayLike | None) -> NDArray[np.float64] | None:
+    """(3,3) from that or from (fx, fy, cx, cy); what the numbers say is the camera's to judge."""
+    if K is None:
+        return None
+    try:
+        matrix = np.asarray(K, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape == (4,):
+        fx, fy, cx, cy = matrix
+        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    if matrix.shape != (3, 3):
+        raise InputError(f"intrinsics must be K (3,3) or (fx, fy, cx, cy) in pixels, got {K!r}")
+    return matrix
+
+
+def _from_depth(path: Path, image: NDArray, K: NDArray | None, scale: float) -> NDArray:
     if image.ndim != 2:
         raise InputError(f"{path} has shape {image.shape}; a depth image is one channel (H,W)")
     if K is None:
@@ -216,19 +235,14 @@ def _from_depth(path: Path, image: NDArray, K: ArrayLike | None, scale: float) -
             f"{path} is a depth image of {image.shape[1]}×{image.shape[0]} pixels: its intrinsics "
             f"are needed (fx, fy, cx, cy in pixels)"
         )
-    if not scale > 0:
-        raise InputError(f"depth_scale must be positive, got {scale!r}")
+    scale = given.positive(scale, "depth_scale")
     _require_depths(path, image)
-    matrix = np.asarray(K, np.float64)
-    if matrix.shape == (4,):
-        fx, fy, cx, cy = matrix
-        matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     depth = image.astype(np.float64) * scale
     depth[~np.isfinite(depth)] = 0
     try:
-        return Camera(matrix, image.shape[1], image.shape[0]).unproject_depth(depth)
+        return Camera(K, image.shape[1], image.shape[0]).unproject_depth(depth)
     except ValueError as error:
-        raise InputError(f"intrinsics {np.asarray(K).tolist()}: {error}") from error
+        raise InputError(f"intrinsics {K.tolist()}: {error}") from error
 
 
 def _require_depths(path: Path, image: NDArray) -> None:

@@ -10,10 +10,14 @@ from typing import Any
 from torch import nn
 
 from partialbench import registry, user_code
+from partialbench.benchmark import preflight
 from partialbench.benchmark.predict import Classifier
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.run import run_eval
 from partialbench.errors import InputError
+
+_TAKEN = {*inspect.signature(run_eval).parameters} - {"results_folder", "protocol_overrides"}
+"""Arguments of ``run_eval`` that are called so here too."""
 
 
 def evaluate(
@@ -37,7 +41,7 @@ def evaluate(
             is to be tested on.
         results: where records go.
         options: those of ``run.run_eval``: ``preset``, ``clouds``, ``seeds``, ``device``,
-            ``test_data``, ``recipe``, …
+            ``test_data``, ``recipe``, …, and fields of the protocol.
 
     Returns:
         One ``Result`` for each milestone, seed and test set: ``result.scores["accuracy"]``.
@@ -51,6 +55,7 @@ def evaluate(
         for result in partialbench.evaluate(make, "data/pm40", preset="smoke"):
             print(result.row, result.scores["accuracy"])
     """
+    preflight.check_names([n for n in options if n not in _TAKEN], {*_TAKEN, "results"})
     if isinstance(model, Classifier):
         if "checkpoint_file" in options:
             raise InputError("give a Classifier or checkpoint_file, not both")
@@ -77,9 +82,14 @@ def name_of(model: str | Callable[..., nn.Module]) -> str:
         if card.entry == f"{module}:{name}":
             return card.name
     file = inspect.getsourcefile(model) if name else None
-    if module == "__main__" or not file or not Path(file).is_file() or not name.isidentifier():
+    if module == "__main__" or not file or not Path(file).is_file():
         raise InputError(
             f"{name or model!r} is of {module or 'no module'}; a record must be able to say which "
             f"code was tested: put the factory into a file of its own, my_model.py, and import it"
+        )
+    if not name.isidentifier():
+        raise InputError(
+            f"{name} of {module} has no name in its file by which a record could tell of it: "
+            f"define it there as a function, def make(num_classes): …"
         )
     return user_code.named(f"{Path(file).resolve()}:{name}")

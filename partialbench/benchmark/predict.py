@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from partialbench import user_code
+from partialbench import given, user_code
 from partialbench.benchmark import inputs
 from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.device import find_device
@@ -163,6 +163,9 @@ class Classifier:
         if changed := checkpoint.changed_code(self.content, model):
             log.warning("%s: %s", path, changed)
 
+    def __repr__(self) -> str:
+        return f"<Classifier {self.about}>"
+
     @property
     def class_names(self) -> tuple[str, ...]:
         """Of the classes it tells apart, by label."""
@@ -197,7 +200,8 @@ class Classifier:
             InputError: a file that cannot be read or is no shape, a depth image without K, no
                 votes, or a model that cannot answer.
         """
-        return self._answer(read_points(Path(file), K, depth_scale), str(file), votes)
+        path = given.path(file, "a capture's file")
+        return self._answer(read_points(path, K, depth_scale), str(file), votes)
 
     def predict(self, points: Any, votes: int = VOTES) -> Answer | list[Answer]:
         """What the model says of clouds in memory; of each what it says of that cloud alone.
@@ -215,24 +219,18 @@ class Classifier:
         Raises:
             InputError: as for a file. Which cloud it was is said.
         """
-        several = isinstance(points, list | tuple)
-        dimensions = (1 + np.ndim(points[0]) if points else 3) if several else np.ndim(points)
-        if dimensions == 2:
-            return self._answer(given_points(points), "the cloud", votes)
-        if dimensions != 3:
-            raise InputError(
-                f"expected (N,3), (B,N,3) or a list of clouds, got {dimensions} dimension(s)"
-            )
-        names = [f"cloud {i}" for i in range(len(points))]
-        clouds = [given_points(one, name) for one, name in zip(points, names, strict=True)]
-        return [self._answer(one, name, votes) for one, name in zip(clouds, names, strict=True)]
+        if isinstance(points, str | Path):
+            raise InputError(f"predict takes points; for a file call it: classifier({points!r})")
+        named, alone = given.clouds(points, "(N,3), (B,N,3) or a list of clouds")
+        shapes = [(given_points(cloud, name), name) for name, cloud in named]
+        answers = [self._answer(shape, name, votes) for shape, name in shapes]
+        return answers[0] if alone else answers
 
-    def _answer(self, given: NDArray, name: str, votes: int) -> Answer:
+    def _answer(self, points: NDArray, name: str, votes: int) -> Answer:
         """What the model says of points (n,3) that ``captures.shaped`` let pass."""
-        if votes < 1:
-            raise InputError(f"votes must be at least 1, got {votes}")
+        votes = given.whole_number(votes, "votes", 1)
         count, class_names = self.content["num_points"], self.class_names
-        clouds = draw(given, count, min(votes, max(1, len(given) // count)))
+        clouds = draw(points, count, min(votes, max(1, len(points) // count)))
         try:
             # What a model draws or remembers is of no other cloud: the same cloud, the same answer.
             with unchanged(self.model), torch.inference_mode(), keyed_draws(device=self.device):
@@ -253,7 +251,7 @@ class Classifier:
             class_names,
             shares.cpu().numpy(),
             None if poses is None else poses.double().softmax(1).mean(0).cpu().numpy(),
-            len(given),
+            len(points),
             clouds.shape[0] * clouds.shape[1],
         )
 

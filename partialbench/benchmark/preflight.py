@@ -6,9 +6,11 @@ options, the data's classes) is checked later, but before the first step (``trai
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from partialbench import registry, user_code
 from partialbench.errors import InputError
@@ -45,6 +47,24 @@ def check(
         check_data(Path(folder))
 
 
+def check_names(given: Iterable[str], arguments: Iterable[str]) -> None:
+    """Raises ``InputError`` for a keyword that is no field of the protocol.
+
+    Args:
+        arguments: of the function that was called: one of them may have been meant.
+    """
+    from partialbench.benchmark.protocol.protocol import FIELDS
+
+    recipe = [field.name for field in dataclasses.fields(registry.Recipe)]
+    for name in given:
+        if name in FIELDS:
+            continue
+        if name in recipe:
+            raise InputError(f"{name} is a field of the recipe: recipe={{{name!r}: …}}")
+        near = registry.close_matches(name, {*arguments, *FIELDS})
+        raise InputError(f"no argument and no field of the protocol is called {name!r}{near}")
+
+
 def check_model(name: str) -> None:
     """A registered name, or a user's "module:factory" that can be looked for; nothing is run."""
     if user_code.is_own(name):
@@ -53,8 +73,13 @@ def check_model(name: str) -> None:
         registry.card(name)
 
 
-def check_device(device: str) -> tuple[str, int | None]:
-    """The kind of a device and its number, None where none was given."""
+def check_device(device: Any) -> tuple[str, int | None]:
+    """The kind of a device and its number, None where none was given.
+
+    Args:
+        device: its name, or a ``torch.device``, which is called so too.
+    """
+    device = str(device)
     kind, colon, index = device.partition(":")
     if kind not in ("auto", "cpu", "cuda") or (colon and not (index.isascii() and index.isdigit())):
         raise InputError(f"device must be auto, cpu, cuda or cuda:0 …, got {device!r}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from lightning.fabric import Fabric
 
-from partialbench import registry, user_code
+from partialbench import given, registry, user_code
 from partialbench.benchmark import inputs, models, preflight
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.environment import precision_of
@@ -23,8 +24,9 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET, Protocol
 from partialbench.benchmark.protocol.split import balanced_subset, split_by_object
 from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.testing import damage, given_pose
+from partialbench.benchmark.testing import asked
 from partialbench.benchmark.testing import run as testing
+from partialbench.benchmark.testing.asked import Asked
 from partialbench.benchmark.training import checkpoint, dry_run, finetune, packed
 from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.benchmark.training.follow import check_log
@@ -33,7 +35,6 @@ from partialbench.benchmark.training.memory import keep_freed_memory
 from partialbench.benchmark.training.train import Task, train
 from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.benchmark.variant import describe_changes, file_name
-from partialbench.dataset import grid as grids
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
 from partialbench.registry import Recipe
@@ -51,7 +52,7 @@ def run_eval(
     device: str = "auto",
     results_folder: Path | str = "results",
     *,
-    clouds: Sequence[str | int] | None = None,
+    clouds: str | int | Sequence[str | int] | None = None,
     restart: bool = False,
     runs_folder: Path | str | None = None,
     should_stop: Callable[[], bool] | None = None,
@@ -60,9 +61,9 @@ def run_eval(
     precision: str = FULL_PRECISION,
     log_to: str = "csv",
     checkpoint_every: int | None = None,
-    test_points: Sequence[int] = (),
-    test_poses: Sequence[str | float] = (),
-    test_damages: Sequence[str] = (),
+    test_points: int | Sequence[int] = (),
+    test_poses: str | float | Sequence[str | float] = (),
+    test_damages: str | Sequence[str] = (),
     test_grid: Path | str | Sequence[Path | str] | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
@@ -83,7 +84,8 @@ def run_eval(
             protocol they were trained by: what would change a training is an error then.
         preset: "smoke", "board" or "paper"; ``protocol`` and ``protocol_overrides`` change its
             fields (``num_points=512``), which makes it another protocol.
-        clouds: the milestones to train to, as ``milestones.parse`` takes them: [25_000, "100k"].
+        clouds: the milestone to train to, or several, as ``milestones.parse`` takes them: "25k",
+            [25_000, "100k"].
             By default those of the preset. A published recipe has one, the most clouds it may see.
         restart: delete what there is of these trainings and begin from the seed.
         runs_folder: of the trainings; "runs" in the results folder by default.
@@ -113,69 +115,67 @@ def run_eval(
         InputError: anything about the arguments or files.
         TimeLimitError: see ``should_stop``.
     """
-    results_folder = Path(results_folder)
-    runs_folder = results_folder / "runs" if runs_folder is None else Path(runs_folder)
-    given = [data, *([test_data] if isinstance(test_data, Path | str) else test_data or ())]
-    folders = [folder for folder in given if folder is not None]
+    preflight.check_names(protocol_overrides, inspect.signature(run_eval).parameters)
+    results_folder = given.path(results_folder, "the folder of the results")
+    runs_folder = given.path(runs_folder or results_folder / "runs", "the folder of the runs")
+    seeds = given.whole_number(seeds, "seeds", 1)
+    first_seed = given.whole_number(first_seed, "first_seed", 0)
+    if checkpoint_every is not None:
+        checkpoint_every = given.whole_number(checkpoint_every, "checkpoint_every", 1)
+    restart = given.truth(restart, "restart")
+    if should_stop is not None and not callable(should_stop):
+        raise InputError(f"should_stop must be something to call, got {should_stop!r}")
+    clouds = None if clouds is None else given.several(clouds, "clouds")
+    tests = asked.read(data, test_data, test_grid, test_points, test_poses, test_damages)
+    options = given.mapping(options, "options")
+    recipe, protocol = given.mapping(recipe, "recipe"), given.mapping(protocol, "protocol")
     model = user_code.named(model)
     preflight.check(
-        model, data=folders, results=results_folder, device=device, precision=precision,
+        model, data=tests.folders, results=results_folder, device=device, precision=precision,
         checkpoints=[path for path in (checkpoint_file, start_from) if path is not None],
     )  # fmt: skip
     check_log(log_to)
     fabric = make_fabric(device, precision)
-    poses = list(dict.fromkeys(map(given_pose.parse, test_poses)))
-    damages = damage.parse(test_damages)
-    of_grid = [test_grid] if isinstance(test_grid, Path | str) else test_grid or ()
-    cells = [folder for path in of_grid for folder in grids.folders(Path(path))]
     if checkpoint_file is not None:
         if start_from is not None:
             raise InputError(
                 "--checkpoint tests weights as they are, --start-from trains on from them: give one"
             )
-        asked = {
+        of_training = {
             "--recipe": recipe, "--protocol": protocol or protocol_overrides,
             "--seeds": seeds != 1, "--first-seed": first_seed,
             "--precision": precision != FULL_PRECISION, "--clouds": clouds, "--restart": restart,
         }  # fmt: skip
-        unused = [name for name, given in asked.items() if given]
+        unused = [name for name, wanted in of_training.items() if wanted]
         if unused:
             raise InputError(
                 f"--checkpoint tests finished weights, so {', '.join(unused)} would have no "
                 f"effect; leave it out, or train without --checkpoint"
             )
         return _test_checkpoint(
-            model, find_checkpoint(checkpoint_file), folders, preset, test_points, poses, damages,
-            options or {}, fabric, results_folder, cells,
-        )  # fmt: skip
+            model, find_checkpoint(checkpoint_file), tests, preset, options, fabric, results_folder
+        )
     if data is None:
         raise InputError("nothing to train on: give --data, a folder made by partialbench render")
-    if seeds < 1:
-        raise InputError(f"seeds must be at least 1, got {seeds}")
-    if checkpoint_every is not None and checkpoint_every < 1:
-        raise InputError(f"checkpoint_every must be at least 1 step, got {checkpoint_every}")
 
     if fabric.device.type == "cpu":
         keep_freed_memory()
-    followed = protocols.protocol(preset, **{**(protocol or {}), **protocol_overrides})
+    followed = protocols.protocol(preset, **{**protocol, **protocol_overrides})
     goals = milestones_of(followed, clouds)
     card = models.card_of(model)
     own = recipes.of_protocol(card, followed)
-    changed = recipes.changes(own, recipe or {})
-    used = recipes.override(own, recipe or {})
-    chosen = models.chosen_options(model, options or {})
+    changed = recipes.changes(own, recipe)
+    used = recipes.override(own, recipe)
+    chosen = models.chosen_options(model, options)
     train_set = ShardDataset(data, "train", followed.num_points)
-    test_sets = _open_test_sets(folders, [followed.num_points, *test_points], train_set.class_names)
-    of_cells = _open_cells(cells, followed.num_points, train_set.class_names)
+    test_sets, cells = tests.open(followed.num_points, train_set.class_names)
     _say_odd_classes(train_set, test_sets[0])
     if inputs.NORMALS in card.inputs:
-        for part in (train_set, *test_sets, *of_cells):
+        for part in (train_set, *test_sets, *cells):
             inputs.require(part, model)
-    if poses:  # before a training that could not be tested so
+    if tests.poses:  # before a training that could not be tested so
         fresh = models.create(model, len(train_set.class_names), chosen)
-        for pose in poses:
-            for test_set in test_sets:
-                testing.try_given_pose(model, fresh, test_set, pose, train_set.class_names)
+        tests.try_poses(model, fresh, test_sets, train_set.class_names)
 
     written = []
     start = None if start_from is None else finetune.load(start_from, model)
@@ -188,7 +188,7 @@ def run_eval(
     for task in tasks:
         for goal in goals:  # before anything is trained or deleted
             milestones.plan(followed, used, goal, len(task.train_rows))
-    dry_run.try_out(tasks[0], fabric, test_sets, poses, damages)
+    dry_run.try_out(tasks[0], fabric, test_sets, tests.poses, tests.damages)
     if restart and fabric.is_global_zero:
         for task in tasks:
             with hold(runs_folder / run_folder(task)):
@@ -206,8 +206,8 @@ def run_eval(
                 if fabric.is_global_zero:
                     content = checkpoint.load(RunFolder(folder).branch(goal))
                     written += testing.run_tests(
-                        content, trained.model, [*test_sets, *of_cells], poses, fabric,
-                        results_folder, damages,
+                        content, trained.model, [*test_sets, *cells], tests.poses, fabric,
+                        results_folder, tests.damages,
                     )  # fmt: skip
             fabric.barrier()
     return written
@@ -271,17 +271,13 @@ def run_folder(task: Task) -> str:
 def _test_checkpoint(
     model_name: str,
     path: Path,
-    folders: Sequence[Path | str],
+    tests: Asked,
     preset: str,
-    test_points: Sequence[int],
-    test_poses: Sequence[str],
-    test_damages: Sequence[str],
     options: Mapping[str, Any],
     fabric: Fabric,
     results_folder: Path,
-    cells: Sequence[Path],
 ) -> list[Result]:
-    if not folders and not cells:
+    if not tests.folders and not tests.cells:
         raise InputError("nothing to test on: give --data, --test-data or --test-grid")
     content = packed.load(path)
     if content["model"] != model_name:
@@ -302,21 +298,21 @@ def _test_checkpoint(
             f"{path}: {changed}: one record would tell of two models. Test with the file as it "
             f"was, or train again"
         )
-    test_sets = _open_test_sets(
-        folders, [content["num_points"], *test_points], tuple(content["class_names"])
-    )
-    test_sets += _open_cells(cells, content["num_points"], tuple(content["class_names"]))
+    test_sets, cells = tests.open(content["num_points"], tuple(content["class_names"]))
     if inputs.needs_normals(model):
-        for part in test_sets:
+        for part in (*test_sets, *cells):
             inputs.require(part, model_name)
-    if test_poses:
-        for pose in test_poses:
-            for test_set in test_sets:
-                testing.try_given_pose(model_name, model, test_set, pose, content["class_names"])
+    tests.try_poses(model_name, model, test_sets, content["class_names"])
     written = []
     if fabric.is_global_zero:
         written = testing.run_tests(
-            content, model, test_sets, test_poses, fabric, results_folder, test_damages
+            content,
+            model,
+            [*test_sets, *cells],
+            tests.poses,
+            fabric,
+            results_folder,
+            tests.damages,
         )
     fabric.barrier()
     return written
@@ -333,38 +329,6 @@ def _with_options(content: Mapping[str, Any], options: Mapping[str, Any]) -> dic
         recipe, merged, summary.get("start"), summary["environment"]["precision"]
     )
     return {**content, "options": merged, "variant": variant}
-
-
-def _open_test_sets(
-    folders: Sequence[Path | str], points: Sequence[int], train_classes: tuple[str, ...]
-) -> list[ShardDataset]:
-    """The test split of each folder with each number of points."""
-    test_sets = [
-        ShardDataset(folder, "test", number)
-        for folder in folders
-        for number in dict.fromkeys(points)
-    ]
-    for test_set in test_sets:
-        _require_shared_class(train_classes, test_set)
-    return test_sets
-
-
-def _open_cells(
-    folders: Sequence[Path], points: int, train_classes: tuple[str, ...]
-) -> list[ShardDataset]:
-    """The test split of each cell of a grid, which says that it is one."""
-    cells = _open_test_sets(folders, [points], train_classes)
-    for cell, folder in zip(cells, folders, strict=True):
-        cell.grid = folder.name
-    return cells
-
-
-def _require_shared_class(train_classes: tuple[str, ...], test_set: Clouds) -> None:
-    if not set(train_classes) & set(test_set.class_names):
-        raise InputError(
-            f"the test data ({test_set.dataset_id}) share no class with the training data: "
-            f"{', '.join(test_set.class_names)} against {', '.join(train_classes)}"
-        )
 
 
 def _say_odd_classes(train_set: ShardDataset, test_set: Clouds) -> None:

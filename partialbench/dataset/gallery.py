@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from partialbench import given
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.samples import Scene
@@ -42,7 +43,7 @@ class Gallery:
 
     def save(self, out: Path | str) -> Path:
         """Writes the page; returns its path."""
-        out = Path(out)
+        out = given.path(out, "the page")
         make_folder(out.parent)
         write_atomically(out, self.html.encode())
         return out
@@ -69,8 +70,8 @@ def gallery(
     """Clouds to turn by hand: a notebook shows the answer by itself, ``.save`` writes a page.
 
     Args:
-        data: a data folder, a ``ShardDataset`` or ``TorchDataset``, a ``View``, or clouds (N,3) or
-            (B,N,3), camera frame.
+        data: a data folder, a ``ShardDataset`` or ``TorchDataset``, a ``View``, or clouds (N,3),
+            (B,N,3) or a list of any sizes, camera frame.
         R: the pose R_camera_object (3,3) or (B,3,3) of given clouds, drawn as the object's axes.
         split: of a data folder.
         samples: how many rows of a data set.
@@ -97,24 +98,20 @@ def gallery(
     if isinstance(data, View):
         title = f"{data.visible_fraction:.0%} of the surface seen"
         return Gallery("a view", [_sample(title, data.points, data.R_camera_object, data.depth)])
-    clouds = np.asarray(data, np.float64)
-    clouds = clouds[None] if clouds.ndim == 2 else clouds
-    if clouds.ndim != 3 or clouds.shape[2] != 3 or 0 in clouds.shape:
-        raise InputError(
-            f"expected a data folder, a data set, a View, or clouds (N,3) or (B,N,3); got a "
-            f"{type(data).__name__} of shape {np.shape(data)}"
-        )
-    if not np.isfinite(clouds).all():
-        raise InputError("the clouds have points that are NaN or infinite; leave them out")
+    clouds, _ = given.clouds(data, "a data folder, a data set, a View, or clouds (N,3) or (B,N,3)")
+    for name, cloud in clouds:
+        if not len(cloud):
+            raise InputError(f"{name} has no points")
+        if not np.isfinite(cloud).all():
+            raise InputError(f"{name} has points that are NaN or infinite; leave them out")
     rotations: list[NDArray | None] = [None] * len(clouds)
     if R is not None:
-        given = np.asarray(R, np.float64)
-        given = given[None] if given.ndim == 2 else given
-        if given.shape != (len(clouds), 3, 3):
-            raise InputError(f"R has shape {np.shape(R)}, expected (3,3) for each of the clouds")
-        rotations = list(given)
-    pairs = enumerate(zip(clouds, rotations, strict=True))
-    return Gallery("clouds", [_sample(f"cloud {i}", cloud, R) for i, (cloud, R) in pairs])
+        rotations = list(given.rotations(R, "R", len(clouds)))
+    posed = enumerate(zip(clouds, rotations, strict=True))
+    return Gallery(
+        "clouds",
+        [_sample(f"cloud {i}", cloud.astype(float), R) for i, ((_, cloud), R) in posed],
+    )
 
 
 def _sample(

@@ -20,6 +20,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from partialbench import registry
+from partialbench.dataset.others import require_share
 from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.shards import make_folder, write_atomically
 from partialbench.errors import InputError
@@ -102,6 +104,13 @@ def _values(content: Mapping[str, Any], axis: str, where: str) -> list[Any]:
             raise InputError(
                 f"{where}: {axis} has no value {value!r}; expected {', '.join(AXES[axis])}"
             )
+        try:  # all of them before the first cell is rendered
+            if axis == "sensor":
+                registry.load(registry.MAKE_SENSOR)(value)
+            elif axis == "occluders":
+                require_share(float(value))
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
     if not values:
         raise InputError(f"{where}: {axis} has no value; leave it out or give one")
     return values
@@ -110,13 +119,20 @@ def _values(content: Mapping[str, Any], axis: str, where: str) -> list[Any]:
 def write(folder: Path, cells: list[Cell]) -> None:
     """Lists the cells of a folder, each a data folder in it by its name.
 
+    A grid may grow: what cells were rendered must be among the new ones.
+
     Raises:
-        InputError: the folder is of another grid.
+        InputError: the folder has cells of another grid.
     """
     make_folder(folder)
     content = {"format": FORMAT, "cells": [asdict(cell) for cell in cells]}
-    if (folder / NAME).is_file() and read(folder) != cells:
-        raise InputError(f"{folder} holds another grid, see its {NAME}; choose another folder")
+    before = read(folder) if (folder / NAME).is_file() else []
+    for cell in before:
+        if cell not in cells and (folder / cell.name).exists():
+            raise InputError(
+                f"{folder} holds another grid: it has the cell {cell.name}, which the file does "
+                f"not ask for; choose another folder"
+            )
     write_atomically(folder / NAME, (json.dumps(content, indent=1) + "\n").encode())
 
 

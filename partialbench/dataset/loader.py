@@ -7,6 +7,7 @@ a map survives a fork, is reopened after a spawn, and costs a memory copy per ro
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench import given
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset import objects as tables
 from partialbench.dataset.shards import content_digest, file_sha256, open_shard
@@ -72,9 +74,9 @@ class ShardDataset:
     """
 
     def __init__(self, folder: Path | str, split: str, num_points: int = 1024) -> None:
-        self.folder = Path(folder)
+        self.folder = given.path(folder, "the data folder")
         self.split = split
-        self.num_points = num_points
+        self.num_points = num_points = given.whole_number(num_points, "num_points", 1)
         self.manifest = manifests.load(self.folder)
         if self.manifest.state != "complete":
             raise InputError(
@@ -93,7 +95,7 @@ class ShardDataset:
         self.has_poses = self.manifest.has_poses
         self.digest = self.manifest.digests[split]
         stored: int = self.manifest.configuration["points"]
-        if not 1 <= num_points <= stored:
+        if num_points > stored:
             raise InputError(
                 f"{folder} stores {stored} points a cloud, {num_points} were asked for; "
                 f"choose 1 to {stored} or render with --points {num_points}"
@@ -121,6 +123,12 @@ class ShardDataset:
         self._stored_points = stored
         self._maps: dict[tuple[int, str], np.memmap] = {}
 
+    def __repr__(self) -> str:
+        return (
+            f"<{self.dataset_id} {self.split}: {len(self):,} clouds of {self.num_points} points, "
+            f"{len(np.unique(self.labels))} classes, in {self.folder}>"
+        )
+
     def __len__(self) -> int:
         return len(self.labels)
 
@@ -130,11 +138,13 @@ class ShardDataset:
 
     def points(
         self,
-        indices: NDArray | list[int],
+        indices: NDArray | Sequence[int],
         rng: np.random.Generator | None = None,
         distinct: bool = False,
     ) -> NDArray[np.float32]:
         """Clouds of the rows ``indices``: (B,num_points,3) float32, camera frame.
+
+        Rows are told by their numbers (B,), or by a mask (M,) over all of them.
 
         Rows hold their points in random order, so the first ``num_points`` are a fair subset: that
         is what is returned without ``rng``. With it, each cloud starts at a random place of the
@@ -149,7 +159,7 @@ class ShardDataset:
 
     def points_and_normals(
         self,
-        indices: NDArray | list[int],
+        indices: NDArray | Sequence[int],
         rng: np.random.Generator | None = None,
         distinct: bool = False,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -163,7 +173,7 @@ class ShardDataset:
         points, normals = self._clouds(indices, _MAPPED, rng, distinct)
         return points, normals
 
-    def depth(self, indices: NDArray | list[int]) -> NDArray[np.float32]:
+    def depth(self, indices: NDArray | Sequence[int]) -> NDArray[np.float32]:
         """Depth images of the rows ``indices``: (B,H,W) float32 z-depth, 0 = no surface.
 
         They are not mapped but unpacked from disk at each call.
@@ -183,8 +193,21 @@ class ShardDataset:
                     images[i] = file["depth"][int(indices[i] - self._first_row[shard])]
         return np.stack(images) if images else np.zeros((0, 0, 0), np.float32)
 
-    def _checked(self, indices: NDArray | list[int]) -> NDArray[np.int64]:
-        indices = np.asarray(indices, np.int64)
+    def _checked(self, indices: NDArray | Sequence[int]) -> NDArray[np.int64]:
+        """Row numbers (B,), also of a mask over all rows, such as ``labels == 3`` is."""
+        indices = np.asarray(indices)
+        if indices.dtype == bool:
+            if indices.shape != (len(self),):
+                raise InputError(
+                    f"a mask of rows must have the shape ({len(self)},), got {indices.shape}"
+                )
+            return np.flatnonzero(indices)
+        if indices.ndim != 1 or (indices.size and indices.dtype.kind not in "iu"):
+            raise InputError(
+                f"row indices must be whole numbers (B,), or a mask ({len(self)},), got "
+                f"{indices.dtype} of shape {indices.shape}"
+            )
+        indices = indices.astype(np.int64)
         if indices.size and not (indices.min() >= 0 and indices.max() < len(self)):
             raise IndexError(f"row indices must lie in [0, {len(self)}), got {indices.min()} to "
                              f"{indices.max()}")  # fmt: skip
@@ -192,7 +215,7 @@ class ShardDataset:
 
     def _clouds(
         self,
-        indices: NDArray | list[int],
+        indices: NDArray | Sequence[int],
         names: tuple[str, ...],
         rng: np.random.Generator | None,
         distinct: bool,
@@ -224,7 +247,13 @@ class ShardDataset:
         if mapped is None:
             file = self._layout[shard]
             shape = (file.rows, self._stored_points, 3)
-            mapped = np.memmap(file.path, "<f4", "r", file.offsets[name], shape)
+            try:
+                mapped = np.memmap(file.path, "<f4", "r", file.offsets[name], shape)
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    f"{file.path} cannot be read any more ({error}): moved, deleted or rewritten "
+                    f"since the folder was opened; open it again where it is"
+                ) from error
             self._maps[shard, name] = mapped
         return mapped
 
@@ -238,10 +267,11 @@ def _read_small_and_layout(
     }
     layout = []
     table = tables.load(folder)
+    place = folder.absolute()  # opened later too, when the current folder may be another
     for entry in entries:
         if entry.rows == 0:
             continue
-        path = folder / entry.file
+        path = place / entry.file
         if not path.is_file():
             raise InputError(f"{path} is missing, the manifest lists it; run the render again")
         if path.stat().st_size != entry.bytes:

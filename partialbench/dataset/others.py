@@ -31,7 +31,8 @@ class Others:
 
 def require_share(share: float) -> None:
     """Raises ``InputError`` for a share of an object that occluders cannot be asked to hide."""
-    if not 0 <= share <= MOST_OCCLUDED:
+    number = isinstance(share, int | float | np.number) and not isinstance(share, bool)
+    if not number or not 0 <= share <= MOST_OCCLUDED:
         raise InputError(f"occluders must hide a share of 0 to {MOST_OCCLUDED}, got {share!r}")
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from partialbench import registry
+from partialbench import given, registry
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.build import BuildPlan, Progress, build
 from partialbench.dataset.executors import InlineExecutor, dask_cluster, process_pool
@@ -35,7 +35,7 @@ def plan_render(
     occluder_options: dict[str, Any] | None = None,
     setting: str = "partial",
     views: int | None = None,
-    splits: tuple[str, ...] | None = None,
+    splits: str | Sequence[str] | None = None,
     objects_per_class: int | None = None,
     points: int = 2048,
     min_visible: int | None = None,
@@ -73,21 +73,33 @@ def plan_render(
         raise InputError(
             f"no data set {data_set!r}{registry.close_matches(data_set, DEFAULT_SOURCE)}"
         )
-    given = dict(source_options or {})
+    points = given.whole_number(points, "points", 1)
+    rows_per_shard = given.whole_number(rows_per_shard, "rows_per_shard", 1)
+    seed = given.whole_number(seed, "seed")
+    normals = given.truth(normals, "normals")
+    views, objects_per_class, min_visible = (
+        value if value is None else given.whole_number(value, name, 1)
+        for name, value in (
+            ("views", views), ("objects_per_class", objects_per_class),
+            ("min_visible", min_visible),
+        )
+    )  # fmt: skip
+    of_source = given.mapping(source_options, "source_options")
     if data_set == "ps15" and min_visible is not None:
         # One of the rules by which scans are judged.
-        given["rules"] = {**given.get("rules", {}), "min_visible": min_visible}
+        of_source["rules"] = {**of_source.get("rules", {}), "min_visible": min_visible}
     if source is None:
-        source = "scannet" if "scannet" in given else DEFAULT_SOURCE[data_set]
+        source = "scannet" if "scannet" in of_source else DEFAULT_SOURCE[data_set]
     # One seed is behind everything that is generated; a scanned room was seen by its own sensor.
     if source == "parametric":
-        given["seed"] = seed
+        of_source["seed"] = seed
     elif source == "rooms":
-        given |= {"seed": seed, "workers": workers, "on_progress": on_room, "on_scene": on_scene}
-        given |= {"sensor": sensor} if sensor else {}
+        of_source |= {"seed": seed, "workers": workers}
+        of_source |= {"on_progress": on_room, "on_scene": on_scene}
+        of_source |= {"sensor": sensor} if sensor else {}
     elif source == "scannet":
-        given |= {"workers": workers, "on_scene": on_scene}
-    shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **given)
+        of_source |= {"workers": workers, "on_scene": on_scene}
+    shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **of_source)
     described = shapes.describe()
     name = described["name"]
     dataset_id, occluder_name = registry.data_set_of(described)
@@ -101,12 +113,12 @@ def plan_render(
     per_split = dict(PAPER_VIEWS[data_set])
     if views is not None:
         per_split = {"train": views, "test": views if data_set == "ps15" else 1}
-    chosen = tuple(dict.fromkeys(splits or shapes.splits()))
+    chosen = tuple(dict.fromkeys(given.several(splits, "splits") or shapes.splits()))
     if unknown := [s for s in chosen if s not in shapes.splits()]:
         raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
-    options = dict(occluder_options or {})
-    if occluder_name == "scan-hpr" and "rules" in given:
-        options["rules"] = given["rules"]
+    options = given.mapping(occluder_options, "occluder_options")
+    if occluder_name == "scan-hpr" and "rules" in of_source:
+        options["rules"] = of_source["rules"]
     if sensor and source != "rooms":
         options["sensor"] = sensor
     if occluder_name == "whole":
@@ -164,8 +176,18 @@ def render_dataset(
         manifest = partialbench.render_dataset("meshes/", "data/mine", views=4, workers=8)
         manifest.rows("train"), manifest.failures
     """
-    place = None if source is None else str(source)
-    plan = plan_render(data_set, Path(out), source=place, workers=workers, **options)
+    known = set(inspect.signature(plan_render).parameters)
+    for name in options:
+        if name not in known:
+            raise InputError(
+                f"render_dataset has no option {name!r}{registry.close_matches(name, known)}. How "
+                f"shapes are read is told by source_options={{…}} (up, counts, …), how they are "
+                f"seen by occluder_options={{…}} (resolution, camera, …)"
+            )
+    place = None if source is None else str(given.path(source, "the source"))
+    workers = given.whole_number(workers, "workers", 1)
+    out = given.path(out, "the data folder")
+    plan = plan_render(data_set, out, source=place, workers=workers, **options)
     if on_listing and (words := getattr(plan.job.source, "listing", "")):
         on_listing(words)
     if scheduler is not None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+from partialbench import given
 from partialbench.dataset.loader import ShardDataset
 from partialbench.dataset.names import printable
 from partialbench.dataset.samples import PITCH, YAW, Scene, packed, projected, scenes
@@ -63,9 +64,8 @@ def show(folder: Path, out: Path, split: str = "train", samples: int = 24, seed:
 
 def choose_rows(labels: NDArray, samples: int, seed: int) -> NDArray[np.int64]:
     """Row indices that go round the classes, so that a page shows as many of them as it can."""
-    if samples < 1:
-        raise InputError(f"samples must be at least 1, got {samples}")
-    rng = generator(seed, "show")
+    samples = given.whole_number(samples, "samples", 1)
+    rng = generator(given.whole_number(seed, "seed"), "show")
     order = rng.permutation(len(labels))
     turn: dict[int, int] = {}
     rounds = np.zeros(len(labels), np.int64)

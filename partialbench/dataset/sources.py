@@ -50,7 +50,7 @@ FEW_POINTS = "too few points"
 """The reason of a view that shows fewer distinct points than it must."""
 
 
-@dataclass
+@dataclass(eq=False)
 class View:
     """What one viewpoint sees of one object.
 
@@ -80,6 +80,13 @@ class View:
     normals: NDArray[np.float32] | None = None
     symmetry: str | None = None
     occluded_fraction: float | None = None
+
+    def __repr__(self) -> str:
+        beside = [n for n in ("depth", "normals") if getattr(self, n) is not None]
+        return (
+            f"<View of {len(self.points)} points{''.join(f', {name}' for name in beside)}; "
+            f"{self.visible_fraction:.0%} of the surface seen>"
+        )
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from partialbench import registry
+from partialbench import given, registry
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
@@ -80,13 +80,17 @@ class TorchDataset(Dataset[Any]):
         fields: Sequence[str] = ("points", "label", "R", "t"),
         transform: Callable[[Sample], Any] | None = None,
     ) -> None:
-        if isinstance(fields, str):
-            fields = (fields,)
+        fields = given.several(fields, "fields")
         for field in fields:
             if field not in FIELDS:
                 raise InputError(f"no field {field!r}{registry.close_matches(field, FIELDS)}")
+        if transform is not None and not callable(transform):
+            raise InputError(
+                f"transform must be something to call with a sample, got {transform!r}"
+            )
+        folder = given.path(folder, "the data folder")
         if num_points is None:
-            num_points = int(manifests.load(Path(folder)).configuration["points"])
+            num_points = int(manifests.load(folder).configuration["points"])
         self.shards = ShardDataset(folder, split, num_points)
         self.fields = tuple(dict.fromkeys(fields))
         self.transform = transform
@@ -104,6 +108,9 @@ class TorchDataset(Dataset[Any]):
                 f'fields=("points", "label")'
             )
 
+    def __repr__(self) -> str:
+        return f"<TorchDataset of {', '.join(self.fields)} of {self.shards!r}>"
+
     def __len__(self) -> int:
         return len(self.shards)
 
@@ -120,7 +127,7 @@ class TorchDataset(Dataset[Any]):
         return samples if self.transform is None else [self.transform(one) for one in samples]
 
     def _row(self, index: int) -> int:
-        row = int(index)
+        row = given.whole_number(index, "an index of a sample")
         if not -len(self) <= row < len(self):
             raise IndexError(f"index {row} is out of range for {len(self)} clouds")
         return row % len(self)

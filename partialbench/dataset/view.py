@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from partialbench import registry
+from partialbench import given, registry
 from partialbench.dataset.rows import CANONICAL_PLACE, draw
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.sources import RejectedView, View
@@ -19,6 +19,9 @@ from partialbench.geometry.rotations import is_rotation
 
 if TYPE_CHECKING:
     import trimesh
+
+FARTHEST = 300.0
+"""From the camera, in object units: beyond, whether a point is hidden is lost in 32 bits."""
 
 Pose = Literal["random", "aligned"] | tuple[ArrayLike, ArrayLike]
 
@@ -42,15 +45,15 @@ def render_view(
 
     Args:
         shape: a mesh file (OFF, OBJ, PLY, STL, GLB, glTF, DAE), a ``trimesh.Trimesh``, a file of a
-            complete cloud, or its (n,3) points.
+            complete cloud, or its (n,3) points; a ``trimesh.Scene`` is one shape.
         pose: "random" (uniform on SO(3), t as the paper draws it), "aligned" (as the shape stands,
             3.5 units in front of the camera), or (R_camera_object (3,3), t_camera_object (3,)),
-            such as ``look_at`` gives.
+            such as ``look_at`` gives; all of the unit ball in front of the camera plane.
         num_points: drawn without replacement; where fewer are seen, all of them first and repeats
             after. None for every point that is seen.
         resolution: side of the depth image in pixels (meshes only).
-        sensor: what distorts the depth: "ideal", "kinect-v1", "tof", with ":STRENGTH" (meshes
-            only).
+        sensor: what distorts the depth: "ideal", "kinect-v1", "tof", "stereo-d415",
+            "stereo-kinect-v1", with ":STRENGTH" (meshes only).
         depth: keep the depth image (meshes only).
         seed: of the pose, the sensor's noise and the drawing.
         normals: with the surface normals of the points.
@@ -72,8 +75,9 @@ def render_view(
     >>> view.points.shape, view.points.dtype, round(view.visible_fraction, 2)
     ((64, 3), dtype('float32'), 0.17)
     """
-    if num_points is not None and num_points < 1:
-        raise InputError(f"num_points must be at least 1, got {num_points}")
+    if num_points is not None:
+        num_points = given.whole_number(num_points, "num_points", 1)
+    seed = given.whole_number(seed, "seed")
     solid = registry.load(registry.READ_SHAPE)(shape, up)
     is_cloud = isinstance(solid, np.ndarray)
     asked = {"resolution": resolution, "sensor": sensor, "keep_depth": depth, "camera": camera}
@@ -88,6 +92,7 @@ def render_view(
     entry = registry.occluder_entry("hpr" if is_cloud else "mitsuba")
     occluder = registry.load(entry)(**asked, normals=normals)
     pair = _pose(pose, seed)
+    _require_in_front(pair[1], camera)
     (view,) = occluder.views(solid, [pair], [generator(seed, "render_view", "occluder")])
     if isinstance(view, RejectedView):
         raise InputError(f"this pose shows nothing of the shape: {view.reason}")
@@ -122,3 +127,20 @@ def _pose(pose: Any, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64
             f"{t.shape}" + (f", det R = {np.linalg.det(R):g}" if R.shape == (3, 3) else "")
         )
     return R, t
+
+
+def _require_in_front(t: NDArray[np.float64], camera: Camera | None) -> None:
+    """Raises ``InputError`` where the camera is in the unit ball, or what it sees is uncertain.
+
+    A fixed camera may cut the object: by its plane too.
+    """
+    if camera is None and not t[2] > 1:
+        raise InputError(
+            f"the object's centre is at z = {t[2]:g} in the camera frame, so its unit ball is not "
+            f"all in front of the camera; z must exceed 1: move the eye away, or turn it round"
+        )
+    if (distance := float(np.linalg.norm(t))) > FARTHEST:
+        raise InputError(
+            f"the object is {distance:g} units away, {FARTHEST:g} at most can be rendered; it has "
+            f"the size of the unit ball here, whatever its own: divide t by the object's radius"
+        )

@@ -154,7 +154,10 @@ def look_at(
     given = {"eye": eye, "target": target, "up": up}
     vectors = {}
     for name, value in given.items():
-        vectors[name] = np.asarray(value, np.float64)
+        try:
+            vectors[name] = np.asarray(value, np.float64)
+        except (TypeError, ValueError):  # texts and the like
+            vectors[name] = np.zeros(0)
         if vectors[name].shape != (3,) or not np.isfinite(vectors[name]).all():
             raise InputError(f"look_at: {name} must be three finite numbers, got {value!r}")
     forward = vectors["target"] - vectors["eye"]

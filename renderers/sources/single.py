@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from partialbench import given
 from partialbench.dataset.cloud_files import FORMATS, read_cloud
 from partialbench.dataset.ply import is_mesh
 from partialbench.errors import InputError
@@ -18,13 +18,14 @@ from renderers.sources.mesh import SUFFIXES, UPS, normalise, read_mesh
 
 
 def read_shape(
-    shape: str | PathLike[str] | trimesh.Trimesh | trimesh.PointCloud | NDArray, up: str = "z"
+    shape: str | PathLike[str] | trimesh.Trimesh | trimesh.Scene | trimesh.PointCloud | NDArray,
+    up: str = "z",
 ) -> trimesh.Trimesh | NDArray[np.float32]:
     """A mesh, or a cloud (n,3) float32, with z up, in the unit ball.
 
     Args:
-        shape: the path of a mesh or of a complete cloud (a PLY with faces is a mesh), a mesh, or
-            (n,3) points of any real dtype.
+        shape: the path of a mesh or of a complete cloud (a PLY with faces is a mesh), a mesh, a
+            scene, all of whose meshes are one shape, or (n,3) points, see ``given.cloud``.
         up: the shape's upward axis, "z" or "y".
 
     Raises:
@@ -32,15 +33,22 @@ def read_shape(
     """
     if up not in UPS:
         raise InputError(f"up must be one of {', '.join(UPS)}, got {up!r}")
+    if isinstance(shape, trimesh.Scene):
+        shape = shape.to_mesh()
     if isinstance(shape, trimesh.Trimesh):
         return normalise(_turned(shape) if up == "y" else shape)
     if isinstance(shape, trimesh.PointCloud):
         return _cloud(np.asarray(shape.vertices), up, "the cloud")
     if not isinstance(shape, str | PathLike):
-        return _cloud(_points(shape), up, "the cloud")
+        points = given.cloud(shape, "the shape (no mesh and no path)")
+        if not len(points):
+            raise InputError("the cloud has no points")
+        return _cloud(points, up, "the cloud")
     path = Path(shape)
     suffix, name = path.suffix.lower(), str(path)
     if not path.is_file():
+        if path.is_dir():
+            raise InputError(f"{path} is a folder; give one of its files")
         raise InputError(f"no file at {path}")
     if suffix not in (*SUFFIXES, *FORMATS):
         raise InputError(
@@ -51,21 +59,6 @@ def read_shape(
     if suffix in SUFFIXES and (suffix != ".ply" or is_mesh(content)):
         return normalise(read_mesh(content, suffix, up, name), name)
     return _cloud(read_cloud(content, name), up, name)
-
-
-def _points(given: Any) -> NDArray:
-    points = np.asarray(given)
-    if (
-        points.dtype.kind not in "fiu"
-        or points.ndim != 2
-        or points.shape[1] != 3
-        or not len(points)
-    ):
-        raise InputError(
-            f"expected a mesh, a path or (n,3) points, got "
-            f"{type(given).__name__} of shape {points.shape} and type {points.dtype}"
-        )
-    return points
 
 
 def _cloud(points: NDArray, up: str, name: str) -> NDArray[np.float32]:

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -118,3 +119,19 @@ def test_one_bad_file_of_a_folder_does_not_end_it(weights, tmp_path, rng):
     ran = CliRunner().invoke(app, command)
     assert ran.exit_code == 0
     assert ran.stdout.count("%") == 2
+
+
+def test_a_mesh_is_no_scan_and_says_so(tmp_path, caplog):
+    ball = trimesh.creation.icosphere(2)
+    ball.export(tmp_path / "ball.ply")
+    assert len(read_points(tmp_path / "ball.ply")) == 162
+    assert "is a mesh: its 162 vertices are taken for the points of a scan" in caplog.text
+    caplog.clear()
+    trimesh.PointCloud(ball.vertices).export(tmp_path / "scan.ply")
+    assert len(read_points(tmp_path / "scan.ply")) == 162
+    assert not caplog.records
+    ball.export(tmp_path / "ball.off")
+    with pytest.raises(InputError, match=r"\.off is not read; .* of a mesh render a view first"):
+        read_points(tmp_path / "ball.off")
+    with pytest.raises(InputError, match="it is a folder; give one of its files"):
+        read_points(tmp_path)

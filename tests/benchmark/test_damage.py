@@ -195,6 +195,19 @@ GOLDEN = {
 }
 
 
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (np.zeros((0, 3)), "has no points, or some that are not finite"),
+        (np.full((4, 3), np.nan), "has no points, or some that are not finite"),
+        (np.zeros((3, 4)), r"is a ndarray of shape \(3, 4\), expected \(N,3\); transpose it"),
+    ],
+)
+def test_what_is_no_cloud_cannot_be_damaged(points, words):
+    with pytest.raises(InputError, match=words):
+        damaged(points, "jitter:3", ("mug", 0), np.eye(3))
+
+
 def test_damaged_clouds_have_no_normals_to_lead_astray():
     with pytest.raises(InputError, match="takes normals cannot be tested on damaged"):
         DamagedClouds(CLOUDS, "jitter:1").points_and_normals([0])
@@ -214,6 +227,7 @@ def test_names():
         ("jitter:", "strength ''"),
         ("jitter:0", "damages nothing"),
         ("", "no damage named ''"),
+        ([3], "a damage is named by a text such as 'jitter:3', got 3"),
     ],
 )
 def test_what_is_no_damage_is_refused(text, words):

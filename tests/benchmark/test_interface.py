@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -76,11 +77,16 @@ def test_a_cloud_far_from_the_origin_is_moved_before_it_is_rounded(weights):
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (np.zeros((40, 2)), r"the cloud has shape \(40, 2\), expected \(N,3\)"),
+        (np.zeros((40, 2)), r"the cloud is a ndarray of shape \(40, 2\), expected \(N,3\)"),
         (np.ones((3, 40)), "transpose it"),
-        (np.zeros(3), "got 1 dimension"),
+        (np.zeros(3), "got a ndarray of 1 dimension$"),
         (np.full((40, 3), np.nan), "the cloud has 0 finite points, at least 16"),
-        (np.array([["a"] * 3] * 40), "is of type <U1; expected"),
+        (np.array([["a"] * 3] * 40), "is of type <U1, expected"),
+        ("mug.ply", r"predict takes points; for a file call it: classifier\('mug.ply'\)"),
+        ({"points": np.zeros((40, 3))}, "got a dict of 0 dimensions; give its points"),
+        (None, "got a NoneType of 0 dimensions$"),
+        ([[1.0, 2.0, 3.0], [1.0]], "the cloud is no array"),
+        ([np.zeros((2, 40, 3))], "got a list of 4 dimensions"),
         ([np.eye(3)], "cloud 0 has 3 finite points"),
         (np.stack([np.random.default_rng(0).random((20, 3)), np.zeros((20, 3))]),
          "cloud 1 has 1 distinct point"),
@@ -89,6 +95,46 @@ def test_a_cloud_far_from_the_origin_is_moved_before_it_is_rounded(weights):
 def test_an_array_that_is_no_cloud_says_which(weights, points, message):
     with pytest.raises(InputError, match=message):
         load_model(weights, "cpu").predict(points)
+
+
+@pytest.mark.parametrize("votes", [2.0, True, "2", None])
+def test_votes_are_counted_in_whole_numbers(weights, votes):
+    with pytest.raises(InputError, match="votes must be a whole number, got"):
+        load_model(weights, "cpu").predict(MemoryClouds().points([3])[0], votes)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"K": "a"}, r"intrinsics must be K \(3,3\) or \(fx, fy, cx, cy\) in pixels, got 'a'"),
+        ({"K": (1, 2, 3)}, "intrinsics must be K"),
+        ({"K": (9, 9, np.nan, 4)}, "K must be a finite"),
+        ({"K": (0, 9, 4, 4)}, "focal lengths must be positive"),
+        ({"depth_scale": np.inf}, "depth_scale must be a finite number above 0, got inf"),
+        ({"depth_scale": "1"}, "depth_scale must be a finite number above 0, got '1'"),
+        ({"file": 3}, "a capture's file must be a path"),
+    ],
+)
+def test_what_is_wrong_beside_a_depth_image_is_said(weights, tmp_path, rng, arguments, message):
+    np.save(tmp_path / "d.npy", rng.uniform(2, 3, (20, 30)))
+    given = {"file": tmp_path / "d.npy", "K": (30, 30, 15, 10), **arguments}
+    classifier = load_model(weights, torch.device("cpu"))
+    with pytest.raises(InputError, match=message):
+        classifier(**given)
+
+
+def test_a_misspelt_keyword_is_told_from_arguments_protocol_and_recipe(data, tmp_path):
+    name = f"{MODELS}:Bare"
+    for wrong, message in (
+        ({"seed": 1}, "called 'seed'; did you mean seeds, split_seed, first_seed"),
+        ({"result": "x"}, "called 'result'; did you mean results"),
+        ({"results_folder": "x"}, "called 'results_folder'; did you mean .*results"),
+        ({"num_point": 8}, "called 'num_point'; did you mean num_points"),
+        ({"lr": 0.1}, "lr is a field of the recipe: recipe={'lr': …}"),
+    ):
+        with pytest.raises(InputError, match=message):
+            evaluate(name, data, **{"results": tmp_path, **wrong})
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_model_begins_from_the_weights_of_a_training(weights):
@@ -125,7 +171,8 @@ def test_a_trained_model_and_a_factory_are_evaluated_by_name(weights, data, tmp_
 
     assert name_of(PointNet) == "pointnet"
     assert name_of(tiny_models.Posed).endswith("tiny_models.py:Posed")
-    for odd, message in ((lambda k: None, "put the factory into a file of its own"),
+    for odd, message in ((lambda k: None, "has no name in its file"),
+                         (partial(PointNet, width=2), "put the factory into a file of its own"),
                          (classifier.model, "got a Posed; expected a model's name")):  # fmt: skip
         with pytest.raises(InputError, match=message):
             name_of(odd)

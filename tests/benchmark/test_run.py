@@ -17,12 +17,16 @@ from typer.testing import CliRunner
 
 from leaderboard.check import problems
 from partialbench.benchmark.predict import predict
+from partialbench.benchmark.protocol.split import balanced_subset
 from partialbench.benchmark.records import results
 from partialbench.benchmark.run import run_eval
-from partialbench.benchmark.testing import metrics
+from partialbench.benchmark.testing import asked, metrics
+from partialbench.benchmark.testing.asked import Asked
+from partialbench.benchmark.testing.run import _test_rows
 from partialbench.cli import app
+from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import ConfigurationMismatchError, InputError
-from tests.benchmark.memory_clouds import data_folder
+from tests.benchmark.memory_clouds import MemoryClouds, data_folder
 from tests.benchmark.tiny_models import MODELS, SMALL, Bare
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,6 +77,41 @@ def test_another_data_set_is_scored_on_the_shared_classes(done):
     assert crossed.scores["per_class"]["bottle"] is None
     assert crossed.scores["restricted_accuracy"] >= crossed.scores["accuracy"]
     assert crossed.column != done[0][0].column
+
+
+@pytest.mark.parametrize("limit", [200, 1])
+def test_a_class_that_only_a_few_of_the_clouds_have_is_found(tmp_path, data, limit):
+    """Few clouds of many classes, as the trial before a training tests, may have none in common."""
+    other = data_folder(tmp_path / "other", "toy-other", ("aal", "chair", "cod", "eel"))
+    _, crossed = run_eval(
+        f"{MODELS}:Bare", data, other, results_folder=tmp_path / "results",
+        **{**SMALL, "max_test_clouds": limit},
+    )  # fmt: skip
+    labels = ShardDataset(other, "test", 64).labels
+    few = balanced_subset(np.arange(len(labels)), labels, 1)
+    assert labels[few] != 1, "the one cloud of a balanced subset is of another class than chair"
+    assert crossed.scores["clouds"] == min(limit, 24)
+    assert {name for name, share in crossed.scores["per_class"].items() if share is not None} == {
+        "chair"
+    }
+
+
+def test_one_test_or_several_each_folder_once():
+    once = asked.read("a", ["b", Path("a")], None, 64, 0, "jitter:3")
+    assert once == Asked([Path("a"), Path("b")], [], [64], ["0"], ("jitter:3",))
+    assert asked.read(None, "a", None, [64, 128], ["0", "class:0"], ["jitter:3", "scale:1"]) == (
+        Asked([Path("a")], [], [64, 128], ["0", "class:0"], ("jitter:3", "scale:1"))
+    )
+
+
+def test_a_shared_class_without_a_cloud_is_no_test(data):
+    class Empty(MemoryClouds):
+        def __init__(self):
+            super().__init__(classes=("aal", "table"))
+            self.labels = np.zeros_like(self.labels)
+
+    with pytest.raises(InputError, match=r"no cloud of the test data \(toy\) is of a class that"):
+        _test_rows(Empty(), ("chair", "table"), 2)
 
 
 def test_a_field_of_the_protocol_may_be_called_as_an_argument_is(data, tmp_path):
@@ -195,7 +234,21 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"num_points": 4096}, "4096 were asked for"),
         ({"data": None}, "nothing to train on"),
         ({"checkpoint_file": "no.pt"}, "no checkpoint at no.pt"),
-        ({"checkpoint_every": 0}, "checkpoint_every must be at least 1 step, got 0"),
+        ({"checkpoint_every": 1.5}, "checkpoint_every must be a whole number, got 1.5"),
+        ({"seeds": "2"}, "seeds must be a whole number, got '2'"),
+        ({"first_seed": -1}, "first_seed must be at least 0, got -1"),
+        ({"restart": "no"}, "restart must be True or False, got 'no'"),
+        ({"should_stop": 3}, "should_stop must be something to call, got 3"),
+        ({"options": "width=8"}, "options must be a dictionary such as .*, got 'width=8'"),
+        ({"recipe": [("lr", 1)]}, "recipe must be a dictionary"),
+        ({"test_points": [1.5]}, "test_points must be a whole number, got 1.5"),
+        ({"test_data": 3}, "a data folder must be a path"),
+        ({"preset": None}, "no preset named None; known: board"),
+        ({"device": None}, "device must be auto, cpu, cuda or cuda:0 …, got 'None'"),
+        ({"clouds": "31"}, "31 clouds are less than one batch"),
+        ({"clouds": 31}, "31 clouds are less than one batch"),
+        ({"test_poses": "yes"}, "a test pose is 'random' or .* got 'yes'"),
+        ({"checkpoint_every": 0}, "checkpoint_every must be at least 1, got 0"),
         ({"recipe": {"batch_size": 200}, "max_train_clouds": 1}, "batches of 2 clouds or more"),
         ({"options": {"widht": 8}}, "no option 'widht'; did you mean width"),
         ({"precision": "32-false"}, "precision '32-false'"),

@@ -168,6 +168,10 @@ def test_what_cannot_be_exported_is_said(folder, exported, tmp_path):
     )
     with pytest.raises(InputError, match="version 9, expected 'partialbench-export' version 1"):
         export(folder, "parquet", other)
+    with pytest.raises(InputError, match="the folder to write into must be a path"):
+        export(folder, "parquet", None)
+    with pytest.raises(InputError, match="threads must be at least 1, got -1"):
+        export(folder, "parquet", tmp_path / "out", threads=-1)
     with pytest.raises(InputError, match="--source 'x' has no effect"):
         export(folder, "parquet", tmp_path / "out", source="x")
 

@@ -13,7 +13,7 @@ from partialbench.dataset.build import build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.export import bop, check_export, export
 from partialbench.dataset.loader import ShardDataset
-from partialbench.dataset.render import plan_render
+from partialbench.dataset.render import plan_render, render_dataset
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import is_rotation
 from partialbench.geometry.symmetry import GROUPS
@@ -130,8 +130,17 @@ def test_the_diameter_is_the_largest_distance_between_vertices():
 
 def test_a_folder_without_images_or_models_is_no_bop_data_set(tmp_path):
     build(plan(tmp_path / "toy"), InlineExecutor)
-    with pytest.raises(InputError, match=r"models of .* are not at hand: no source given"):
+    with pytest.raises(InputError, match=r"without images: choose parquet or webdataset"):
         export(tmp_path / "toy", "bop", tmp_path / "out")
+    box = tmp_path / "cad" / "box"
+    box.mkdir(parents=True)
+    trimesh.creation.box().export(box / "a.off")
+    render_dataset(
+        tmp_path / "cad", tmp_path / "own", views=1, points=32,
+        occluder_options={"resolution": 16, "keep_depth": True},
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"models of .* are not at hand: no source given"):
+        export(tmp_path / "own", "bop", tmp_path / "out")
     made = plan_render(
         "pm40", tmp_path / "flat", source_options={"counts": (1, 1)}, views=1, points=32,
         occluder_options={"resolution": 16}, splits=("test",),

@@ -51,6 +51,10 @@ def test_an_axis_left_out_has_one_value():
         ("rotation = ['x']", "rotation has no value 'x'; expected none, z, so3"),
         ("occluders = ['much']", "occluders holds 'much'"),
         ("sensor = []", "sensor has no value"),
+        ("sensor = ['ideal', 'kinekt']", r"grid\.toml: no sensor named 'kinekt'; did you mean"),
+        ("sensor = 'tof:0'", r"grid\.toml: strength must be a finite number > 0"),
+        ("occluders = [0, 0.95]", "must hide a share of 0 to 0.9, got 0.95"),
+        ("occluders = nan", "must hide a share of 0 to 0.9, got nan"),
         ("shown = ", "not TOML"),
     ],
 )
@@ -69,8 +73,13 @@ def test_a_folder_holds_one_grid(tmp_path):
     grid.write(tmp_path, [Cell()])
     grid.write(tmp_path, [Cell()])
     assert grid.read(tmp_path) == [Cell()]
-    with pytest.raises(InputError, match="holds another grid"):
-        grid.write(tmp_path, [Cell("z")])
+    grid.write(tmp_path, [Cell("z")])  # none was rendered yet
+    (tmp_path / Cell("z").name).mkdir()
+    with pytest.raises(InputError, match="holds another grid: it has the cell z_one-view_ideal_0"):
+        grid.write(tmp_path, [Cell()])
+    assert grid.read(tmp_path) == [Cell("z")]
+    grid.write(tmp_path, [Cell(), Cell("z")])
+    assert grid.read(tmp_path) == [Cell(), Cell("z")]
 
 
 def test_a_grid_is_rendered_and_tested(tmp_path):

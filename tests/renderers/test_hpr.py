@@ -14,7 +14,7 @@ from partialbench.errors import InputError
 from partialbench.geometry.camera import sample_pose
 from partialbench.geometry.rotations import haar_rotations
 from renderers import hpr
-from renderers.hpr import HprOccluder, flip, hidden_point_removal, paper_radius, visible_sets
+from renderers.hpr import HprOccluder, flip, hidden_point_removal, paper_radius
 from renderers.hull_cull import possible_vertices
 from renderers.whole import WholeOccluder, sample_surface
 
@@ -131,17 +131,6 @@ def test_a_culled_cloud_has_the_same_visible_points(rng, monkeypatch) -> None:
     whole = hidden_point_removal(points, viewpoint, 400.0)
     monkeypatch.setattr(hpr, "CULL_FROM", 100)
     np.testing.assert_array_equal(hidden_point_removal(points, viewpoint, 400.0), whole)
-
-
-def test_visible_sets_is_one_removal_per_viewpoint(rng: np.random.Generator) -> None:
-    points, viewpoints = sphere(rng, 300), 3 * sphere(rng, 5)
-    sets = visible_sets(points, viewpoints, 100.0)
-    assert len(sets) == 5
-    for viewpoint, visible in zip(viewpoints, sets, strict=True):
-        np.testing.assert_array_equal(visible, hidden_point_removal(points, viewpoint, 100.0))
-        assert visible.dtype == np.int64
-        assert (np.diff(visible) > 0).all()
-    assert visible_sets(points, np.zeros((0, 3)), 100.0) == []
 
 
 def test_what_is_visible_does_not_depend_on_the_frame(rng: np.random.Generator) -> None:

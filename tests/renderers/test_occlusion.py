@@ -125,7 +125,7 @@ def test_a_camera_at_the_object_has_no_room_before_it():
     assert view.reason == occlusion.NO_ROOM
 
 
-@pytest.mark.parametrize("share", [-0.1, 0.95, 25])
+@pytest.mark.parametrize("share", [-0.1, 0.95, 25, "0.2", True, None])
 def test_an_impossible_share_is_refused(share):
     with pytest.raises(InputError, match=r"share of 0 to 0.9"):
         MitsubaOccluder(occluders=share)

@@ -11,8 +11,9 @@ import trimesh
 from benchmarks.stereo import DISTANCES_M, camera_of, fattening, filled, quad, spread
 from partialbench.dataset.others import Others
 from partialbench.dataset.seeding import generator
+from partialbench.dataset.sources import RejectedView
 from partialbench.errors import InputError
-from partialbench.geometry.camera import sample_pose
+from partialbench.geometry.camera import Camera, sample_pose
 from renderers import stereo
 from renderers.mitsuba_depth import MitsubaOccluder
 from renderers.sensors import make_sensor
@@ -117,6 +118,16 @@ def test_the_images_do_not_hang_on_the_number_of_threads():
         )
     for one, two in zip(*found, strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("t", [(0, 0, 1.1), (0, 0, 0.9), (0.5, 0, 0.5)])
+def test_what_is_too_near_is_turned_away_before_its_image_outgrows_memory(t):
+    camera = Camera(np.array([[20.0, 0, 8], [0, 20, 8], [0, 0, 1]]), 16, 16)
+    occluder = MitsubaOccluder(camera=camera, sensor="stereo-d415")
+    pose = (np.eye(3), np.array(t, float))
+    (view,) = occluder.views(trimesh.creation.icosphere(2), [pose], [np.random.default_rng(0)])
+    assert isinstance(view, RejectedView)
+    assert view.reason.startswith("nearer than 1.25 units")
 
 
 def test_what_it_cannot_do_is_said(monkeypatch):

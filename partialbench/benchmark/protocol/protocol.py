@@ -133,6 +133,11 @@ class Protocol:
         return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
 
 
+FIELDS = tuple(
+    field.name for field in dataclasses.fields(Protocol) if field.name not in ("preset", "version")
+)
+"""What may be overridden."""
+
 PRESETS: dict[str, Protocol] = {
     # Shows that everything runs: seconds for most models, a minute or two on two cores for those on
     # 64³ grids, which take one to two seconds a training cloud.
@@ -171,10 +176,9 @@ def protocol(preset: str, /, **overrides: Any) -> Protocol:
     if preset not in PRESETS:
         raise InputError(f"no preset named {preset!r}{close_matches(preset, PRESETS)}")
     chosen = PRESETS[preset]
-    known = [f.name for f in dataclasses.fields(Protocol) if f.name not in ("preset", "version")]
     for name in overrides:
-        if name not in known:
-            raise InputError(f"the protocol has no field {name!r}{close_matches(name, known)}")
+        if name not in FIELDS:
+            raise InputError(f"the protocol has no field {name!r}{close_matches(name, FIELDS)}")
     changed = dataclasses.replace(chosen, preset=f"{preset}+", **overrides)
     for same in (chosen, *PRESETS.values()):
         if same.digest == changed.digest:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from partialbench import given
 from partialbench.benchmark.clouds import Clouds
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
@@ -82,9 +83,11 @@ def damaged(
     kind, strength = _parts(name)
     if strength == 0:
         return np.array(points, np.float32)
-    cloud = np.asarray(points, np.float64)
-    if not np.isfinite(cloud).all():
-        raise InputError(f"the cloud {key} has points that are not finite and cannot be damaged")
+    cloud = given.cloud(points, f"the cloud {key}").astype(np.float64)
+    if not len(cloud) or not np.isfinite(cloud).all():
+        raise InputError(
+            f"the cloud {key} has no points, or some that are not finite, and cannot be damaged"
+        )
     centre = cloud.mean(axis=0)
     radius = float(np.sqrt(((cloud - centre) ** 2).sum(axis=1)).max()) or 1.0
     scene = _scene(cloud, centre, radius, np.asarray(rotation, np.float64))
@@ -103,7 +106,9 @@ def parse(texts: str | Iterable[str]) -> tuple[str, ...]:
         InputError: an unknown name, or a strength that is not 1 to 5.
     """
     names: list[str] = []
-    for text in [texts] if isinstance(texts, str) else texts:
+    for text in given.several(texts, "damages"):
+        if not isinstance(text, str):
+            raise InputError(f"a damage is named by a text such as 'jitter:3', got {text!r}")
         kind, colon, _ = text.partition(":")
         if text == ALL:
             names += [f"{each}:{strength}" for each in KINDS for strength in STRENGTHS]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from lightning.fabric import Fabric
+from numpy.typing import NDArray
 from torch import nn
 
 from partialbench.benchmark import environment, models
@@ -30,6 +31,7 @@ from partialbench.benchmark.testing import (
     isolation,
     metrics,
 )
+from partialbench.errors import InputError
 from partialbench.registry import ModelCard, Recipe
 
 log = logging.getLogger(__name__)
@@ -110,7 +112,7 @@ def _test(
     protocol = protocols.from_dict(content["protocol"])
     card = models.card_of(content["model"])
     recipe, train_data = content["recipe"], DataRecord(**content["train_data"])
-    rows = balanced_subset(np.arange(len(test_set)), test_set.labels, protocol.max_test_clouds)
+    rows = _test_rows(test_set, train_data.class_names, protocol.max_test_clouds)
     result = Result(
         model=card.name,
         variant=content["variant"],
@@ -155,6 +157,28 @@ def _test(
     path = results.write(folder, dataclasses.replace(result, scores=scores), predictions)
     log.info("wrote %s", path)
     return results.read(path)
+
+
+def _test_rows(
+    test_set: Clouds, class_names: Sequence[str], limit: int | None
+) -> NDArray[np.int64]:
+    """Which clouds are tested: those of a balanced subset, whatever their class.
+
+    Of few clouds and many classes none may be of a class that the model knows; then the subset is
+    of those that are.
+
+    Raises:
+        InputError: no cloud is.
+    """
+    every = np.arange(len(test_set))
+    known = np.isin(np.array(test_set.class_names)[test_set.labels], class_names)
+    if not known.any():
+        raise InputError(
+            f"no cloud of the test data ({test_set.dataset_id}) is of a class that the model "
+            f"knows: {', '.join(test_set.class_names)} against {', '.join(class_names)}"
+        )
+    rows = balanced_subset(every, test_set.labels, limit)
+    return rows if known[rows].any() else balanced_subset(every[known], test_set.labels, limit)
 
 
 def try_given_pose(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from partialbench import given as doors
 from partialbench import registry
 from partialbench.benchmark.records import weights
 from partialbench.benchmark.training.trunk import RunFolder, progress
@@ -28,7 +29,7 @@ def find_checkpoint(given: Path | str) -> Path:
     """
     if isinstance(given, str) and given in weights.names():
         return weights.file_of(given)
-    path = Path(given)
+    path = doors.path(given, "weights")
     if path.is_file():
         return path
     if not path.is_dir():

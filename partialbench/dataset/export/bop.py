@@ -21,31 +21,32 @@ from numpy.typing import NDArray
 from partialbench import extras
 from partialbench.dataset import card
 from partialbench.dataset.export.parts import Done, Origin, Part
-from partialbench.dataset.manifest import ShardEntry
+from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.objects import stored_id
 from partialbench.dataset.sources import ObjectRef
 from partialbench.errors import InputError
 from partialbench.geometry.symmetry import GROUPS, Symmetry
 
-NEEDS_SOURCE = True
 MM_PER_UNIT = 1000.0
 FINEST_DEPTH_MM = 0.1
 """Millimetres a step of the 16-bit depth images, where they reach as far."""
 
 
-def parts(origin: Origin) -> list[Part]:
-    """A scene a shard (test/000000), and the models.
+def require_depth(folder: Path, manifest: Manifest) -> None:
+    """Raises ``InputError`` for a folder without depth images."""
+    occluder = manifest.configuration["occluder"]
+    if occluder.get("keep_depth"):
+        return
+    hint = "render it with --keep-depth"
+    if occluder["name"] != "mitsuba":
+        hint = "its clouds are made of points, without images: choose parquet or webdataset"
+    raise InputError(f"{folder} has no depth images, which a BOP data set is made of; {hint}")
 
-    Raises:
-        InputError: the folder has no depth images, or its shapes are no meshes.
-    """
+
+def parts(origin: Origin) -> list[Part]:
+    """A scene a shard (test/000000), and the models."""
     extras.load("PIL")
     manifest = origin.manifest
-    if not manifest.configuration["occluder"].get("keep_depth"):
-        raise InputError(
-            f"{origin.folder} has no depth images, which a BOP data set is made of; render it with "
-            f"--keep-depth"
-        )
     numbers = object_numbers(origin)
     return [
         Part("models", 0, partial(_write_models, origin)),

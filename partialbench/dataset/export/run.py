@@ -14,9 +14,10 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from partialbench import registry
+from partialbench import given, registry
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset.export import bop, parquet, webdataset
 from partialbench.dataset.export.parts import Done, Origin, Part, digest_of
@@ -28,8 +29,8 @@ from partialbench.errors import ConfigurationMismatchError, InputError, Partialb
 
 NAME, FORMAT, VERSION = "export.json", "partialbench-export", 1
 TARGETS = {"parquet": parquet, "webdataset": webdataset, "bop": bop}
-"""Each module has ``parts(origin)`` and ``finish(origin, done)`` → the files that are written last;
-``NEEDS_SOURCE`` where it needs the shapes themselves."""
+"""Each module has ``parts(origin)`` and ``finish(origin, done)`` → the files that are written last.
+Only "bop" needs the shapes themselves."""
 THREADS = 4
 """Parts at once: reading, digesting and writing leave Python's lock free."""
 
@@ -65,8 +66,10 @@ def export(
     """
     if to not in TARGETS:
         raise InputError(f"no export to {to!r}{registry.close_matches(to, TARGETS)}")
-    origin = _origin(Path(folder), source, getattr(TARGETS[to], "NEEDS_SOURCE", False))
-    parts, out = TARGETS[to].parts(origin), Path(out)
+    out = given.path(out, "the folder to write into")
+    threads = given.whole_number(threads or min(THREADS, os.cpu_count() or 1), "threads", 1)
+    origin = _origin(given.path(folder, "the data folder"), source, TARGETS[to])
+    parts = TARGETS[to].parts(origin)
     make_folder(out)
     with sole_user(out):
         state = _begin_or_continue(out, to, origin.manifest)
@@ -78,7 +81,7 @@ def export(
             on_progress(rows, total)
         missing = [part for part in parts if part.name not in finished]
         recorded = {name: asdict(one) for name, one in finished.items()}
-        for one in _made(out, missing, threads or min(THREADS, os.cpu_count() or 1)):
+        for one in _made(out, missing, threads):
             finished[one.name] = one
             rows += one.rows
             recorded[one.name] = asdict(one)
@@ -126,17 +129,18 @@ def is_export(folder: Path | str) -> bool:
     return (Path(folder) / NAME).is_file()
 
 
-def _origin(folder: Path, source: str | None, needs_source: bool) -> Origin:
+def _origin(folder: Path, source: str | None, target: ModuleType) -> Origin:
     manifest = manifests.load(folder)
     if manifest.state != "complete":
         raise InputError(
             f"{folder} is unfinished (state {manifest.state!r}): run its render command again to "
             f"complete it"
         )
-    if not needs_source:
+    if target is not bop:
         if source is not None:
             raise InputError(f"--source {source!r} has no effect: this export needs no models")
         return Origin(folder, manifest)
+    bop.require_depth(folder, manifest)
     opened, missing = source_of(folder, source)
     if opened is None:
         raise InputError(f"the models of {folder} are not at hand: {missing}")
