@@ -46,20 +46,18 @@ class ITNetPointNet2(nn.Module):
         R = torch.eye(3, device=points.device, dtype=points.dtype).expand(len(points), 3, 3)
         t = points.new_zeros(len(points), 3)
         for _ in range(self.iterations):
-            numbers = self.transform(_moved(points, R, t).detach())
-            with torch.autocast(points.device.type, enabled=False):
-                wxyz = F.normalize(numbers[:, :4], dim=1)
-                R_step = roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(wxyz))
-                R, t = R_step @ R, (R_step @ t[..., None])[..., 0] + numbers[:, 4:]
+            moved = (points @ R.mT + t[:, None]).detach()
+            numbers = self.transform(moved)
+            wxyz = F.normalize(numbers[:, :4], dim=1)
+            R_step = roma.unitquat_to_rotmat(roma.quat_wxyz_to_xyzw(wxyz))
+            R, t = R_step @ R, (R_step @ t[..., None])[..., 0] + numbers[:, 4:]
         return R, t
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
         points = normalise(points)
-        return Prediction(self.classifier.classify(_moved(points, *self.pose(points))))
-
-
-def _moved(points: Tensor, R: Tensor, t: Tensor) -> Tensor:
-    """R·p + t of (B,N,3). Neighbourhoods change with it: no half precision here."""
-    with torch.autocast(points.device.type, enabled=False):
-        return points @ R.mT + t[:, None]
+        # The pose moves every point, and neighbourhoods change with it: no half precision here.
+        with torch.autocast(points.device.type, enabled=False):
+            R, t = self.pose(points)
+            moved = points @ R.mT + t[:, None]
+        return Prediction(self.classifier.classify(moved))

@@ -29,8 +29,7 @@ class TNetPointNet2(nn.Module):
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
         points = normalise(points)
-        matrix = self.transform(points).view(-1, 3, 3)
-        # It moves every point, and neighbourhoods change with it: no half precision here.
+        # The matrix moves every point, and neighbourhoods change with it: no half precision here.
         with torch.autocast(points.device.type, enabled=False):
-            turned = points @ matrix
+            turned = points @ self.transform(points).view(-1, 3, 3)
         return Prediction(self.classifier.classify(turned))
