@@ -14,9 +14,11 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from baselines.chunks import chunks
 from baselines.edges import edge_moments
+from baselines.maximum import maximum, spread
 from baselines.points import flat_index, full_precision
-from baselines.shared_mlp import Normed, autocast, chunks, maximum
+from baselines.shared_mlp import Normed, autocast
 
 
 class _ActivatedEdges(torch.autograd.Function):
@@ -128,8 +130,7 @@ class _ResidualMax(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, d_top: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         h, weight, rank = ctx.saved_tensors
-        d_x = d_top.new_zeros(len(h), h.shape[1], len(weight))
-        d_x.scatter_(1, rank.long()[:, None], d_top[:, None])
+        d_x = spread(d_top, rank, h.shape[1])
         rows = d_x.flatten(0, 1)
         return d_x, (rows @ weight).view_as(h), rows.T @ h.flatten(0, 1)
 

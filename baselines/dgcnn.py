@@ -14,9 +14,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from baselines.edges import edge_moments, neighbour_max
+from baselines.maximum import kept_max
 from baselines.points import knn, normalise
 from baselines.published import tensors
-from baselines.shared_mlp import Normed, NormLinear, activated
+from baselines.shared_mlp import FullPrecision, Normed, NormLinear, activated, autocast, linear
 from partialbench.benchmark.prediction import Prediction
 
 SLOPE = 0.2
@@ -36,12 +37,13 @@ class EdgeConv(Normed):
         """(B,N,C_in) → (B,N,C_out)."""
         index = knn(x, k)
         neighbour, relative = self.linear.weight.chunk(2, dim=1)
-        a = F.linear(x, neighbour)
-        c = F.linear(x, relative - neighbour)
+        a = linear(x, neighbour)
+        c = linear(x, relative - neighbour)
         moments = edge_moments(a, c, index) if self.norm.training else None
         scale, shift = self.scale_and_shift(moments, index.numel())
         # Scaled first: where the scale is negative the smallest neighbour becomes the largest.
-        return F.leaky_relu(neighbour_max(a * scale, index) + (c * scale + shift), SLOPE)
+        (scaled,) = autocast(a * scale)
+        return F.leaky_relu(neighbour_max(scaled, index) + (c * scale + shift), SLOPE)
 
 
 class DGCNN(nn.Module):
@@ -59,7 +61,7 @@ class DGCNN(nn.Module):
             [EdgeConv(3, 64), EdgeConv(64, 64), EdgeConv(64, 128), EdgeConv(128, 256)]
         )
         self.embed = NormLinear(512, 1024, bias=False)
-        self.head = nn.Sequential(
+        self.head = FullPrecision(
             nn.Linear(2048, 512, bias=False),
             nn.BatchNorm1d(512),
             nn.LeakyReLU(SLOPE, inplace=True),
@@ -79,7 +81,7 @@ class DGCNN(nn.Module):
             x = conv(x, self.k)
             features.append(x)
         x = activated([self.embed], torch.cat(features, dim=-1), SLOPE)
-        pooled = torch.cat([x.max(dim=1).values, x.mean(dim=1)], dim=-1)
+        pooled = torch.cat([kept_max(x), x.mean(dim=1)], dim=-1)
         return Prediction(self.head(pooled))
 
 

@@ -12,6 +12,7 @@ with deg_j the number of neighbourhoods that hold j.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -20,8 +21,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from baselines.balls import Balls
-from baselines.points import flat_index, full_precision
-from baselines.shared_mlp import chunks
+from baselines.chunks import chunks
+from baselines.maximum import maximum
+from baselines.points import autocast_dtype, flat_index, full_precision
 
 
 class _EdgeMoments(torch.autograd.Function):
@@ -62,57 +64,85 @@ class _EdgeMoments(torch.autograd.Function):
 
 
 class _NeighbourMax(torch.autograd.Function):
-    """max over n of a[index]; a (P,C), index (Q,n) → (Q,C). Equal maxima share the gradient."""
+    """max over n of a[index]; a (P,C), index (Q,n) → (Q,C). Of equal ones the first counts."""
 
     @staticmethod
     def forward(ctx: Any, a: Tensor, index: Tensor) -> Tensor:
-        top = a.new_zeros(len(index), a.shape[1])
+        top = a.new_empty(len(index), a.shape[1])
+        rank = torch.zeros(top.shape, dtype=torch.int32, device=a.device)
         for part in chunks(len(index), index.shape[1] * a.shape[1], a.device):
             edges = a.index_select(0, index[part].flatten())
-            torch.amax(edges.view(-1, index.shape[1], a.shape[1]), dim=1, out=top[part])
-        ctx.save_for_backward(a, index, top)
+            wanted = rank[part] if ctx.needs_input_grad[0] else None
+            maximum(edges.view(-1, index.shape[1], a.shape[1]), top[part], wanted)
+        ctx.save_for_backward(index, rank)
+        ctx.points = len(a)
         return top
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_top: Tensor) -> tuple[Tensor, None]:
-        a, index, top = ctx.saved_tensors
-        d_a = torch.zeros_like(a)
-        for part in chunks(len(index), index.shape[1] * a.shape[1], a.device):
-            flat = index[part].flatten()
-            edges = a.index_select(0, flat).view(-1, index.shape[1], a.shape[1])
-            hit = (edges == top[part, None]).to(a.dtype)
-            share = d_top[part] / hit.sum(dim=1).clamp_min(1)
-            d_a.index_add_(0, flat, hit.mul_(share[:, None]).flatten(0, 1))
-        return d_a, None
+        index, rank = ctx.saved_tensors
+        share = full_precision(d_top)
+        d_a = share.new_zeros(ctx.points, share.shape[1])
+        d_a.scatter_add_(0, index.gather(1, rank.long()), share)
+        return d_a.to(d_top.dtype), None
 
 
 class _EdgeReLU(torch.autograd.Function):
-    """ReLU of a[point] + c[centre], a row for each edge; a (P,C), c (Q,C), (R,), (R,) → (R,C)."""
+    """ReLU of a[point] + c[centre] in ``dtype``, a row for each edge of balls.
+
+    a (P,C), c (Q,C) → (R,C). The sum is in the precision of a and c, where the digits of near
+    points cancel.
+    """
 
     @staticmethod
-    def forward(ctx: Any, a: Tensor, c: Tensor, point: Tensor, centre: Tensor) -> Tensor:
-        edges = a.index_select(0, point)
-        for part in chunks(len(edges), edges.shape[1], edges.device):
-            edges[part].add_(c.index_select(0, centre[part])).relu_()
-        ctx.save_for_backward(edges, point, centre)
-        ctx.rows = len(a), len(c)
+    def forward(ctx: Any, a: Tensor, c: Tensor, balls: Balls, dtype: torch.dtype) -> Tensor:
+        channels = a.shape[1]
+        edges = torch.empty(len(balls.point), channels, dtype=dtype, device=a.device)
+        sorted_c = torch.empty_like(c).index_copy_(0, balls.place, c)
+        for rows, which, length in _parts(balls, channels, a.device):
+            sums = a.index_select(0, balls.point[rows]).view(-1, length, channels)
+            edges[rows] = sums.add_(sorted_c[which, None]).relu_().flatten(0, 1)
+        ctx.save_for_backward(edges)
+        ctx.balls, ctx.points, ctx.full = balls, len(a), a.dtype
         return edges
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_edges: Tensor) -> tuple[Tensor, Tensor, None, None]:
-        edges, point, centre = ctx.saved_tensors
-        d_edges = torch.ops.aten.threshold_backward(d_edges, edges, 0)
-        d_a, d_c = (edges.new_zeros(rows, edges.shape[1]) for rows in ctx.rows)
-        d_a.index_add_(0, point, d_edges)
-        d_c.index_add_(0, centre, d_edges)
-        return d_a, d_c, None, None
+        (edges,) = ctx.saved_tensors
+        balls: Balls = ctx.balls
+        channels = edges.shape[1]
+        d_a = torch.zeros(ctx.points, channels, dtype=ctx.full, device=edges.device)
+        d_c = d_a.new_empty(len(balls.place), channels)
+        for rows, which, length in _parts(balls, channels, edges.device):
+            share = torch.ops.aten.threshold_backward(d_edges[rows], edges[rows], 0).to(ctx.full)
+            torch.sum(share.view(-1, length, channels), dim=1, out=d_c[which])
+            d_a.index_add_(0, balls.point[rows], share)
+        return d_a, d_c.index_select(0, balls.place), None, None
+
+
+def _parts(balls: Balls, channels: int, device: torch.device) -> Iterator[tuple[slice, slice, int]]:
+    """A few balls of one length at a time: their rows, their places in the order, the length."""
+    row = place = 0
+    for count, length in balls.blocks:
+        for part in chunks(count, length * channels, device):
+            first, last = part.start, part.stop
+            yield (
+                slice(row + first * length, row + last * length),
+                slice(place + first, place + last),
+                length,
+            )
+        row, place = row + count * length, place + count
 
 
 def edge_relu(a: Tensor, c: Tensor, balls: Balls) -> Tensor:
-    """ReLU of a_j + c_i for every row of the balls: (B,N,C), (B,S,C) → (R,C)."""
-    return _EdgeReLU.apply(a.flatten(0, 1), c.flatten(0, 1), balls.point, balls.centre)
+    """ReLU of a_j + c_i for every row of the balls: (B,N,C), (B,S,C) → (R,C).
+
+    The values come in full precision; the rows leave in what autocast gives products here.
+    """
+    a, c = a.flatten(0, 1), c.flatten(0, 1)
+    return _EdgeReLU.apply(a, c, balls, autocast_dtype(a))
 
 
 def cloud_edge_moments(a: Tensor, c: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:

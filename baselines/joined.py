@@ -17,8 +17,10 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from baselines.chunks import chunks
+from baselines.maximum import maximum
 from baselines.points import flat_index, full_precision
-from baselines.shared_mlp import NormLinear, chunks, maximum, moments
+from baselines.shared_mlp import NormLinear, moments
 
 
 class _JoinedMax(torch.autograd.Function):

@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from baselines.chunks import chunks
 from baselines.processes import pooled, world_size
 
 
@@ -82,9 +83,48 @@ class NormActivate(torch.autograd.Function):
         )  # fmt: skip
 
 
+class PlainNormActivate(torch.autograd.Function):
+    """The same of rows that count alike, in one process, y not centred.
+
+    apply(y (R,C), gain, bias and constant (C,), eps, slope) → the rows, mean and variance of
+    y + constant over them, cancelled as above. Arithmetic is in full precision.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, y: Tensor, gain: Tensor, bias: Tensor, constant: Tensor | None, eps: float,
+        slope: float,
+    ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
+        out, mean, inverse = torch.native_batch_norm(y, gain, bias, None, None, True, 0.0, eps)
+        activate_(out, slope)
+        ctx.save_for_backward(y, out if slope != 1 else None, gain, mean, inverse)
+        ctx.eps, ctx.slope, ctx.constant = eps, slope, constant is not None
+        mean = mean if constant is None else mean + constant
+        var = inverse.square().reciprocal_().sub_(eps).clamp_min_(0)
+        ctx.mark_non_differentiable(mean, var)
+        return out, mean, var
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_out: Tensor, *_: Any) -> tuple[Tensor | None, ...]:
+        y, out, gain, mean, inverse = ctx.saved_tensors
+        if out is not None:
+            d_out = _before(d_out, out, ctx.slope, torch.empty_like(out))
+        d_y, d_gain, d_bias = torch.ops.aten.native_batch_norm_backward(
+            d_out, y, gain, None, None, mean, inverse, True, ctx.eps, [True, True, True]
+        )
+        d_constant = torch.zeros_like(d_bias) if ctx.constant else None
+        return d_y, d_gain, d_bias, d_constant, None, None
+
+
 def column_sums(values: Tensor, w: Tensor | None) -> Tensor:
-    """(C,) of (R,C), row r taken w_r times."""
-    return values.sum(dim=0) if w is None else w @ values
+    """(C,) of (R,C), row r taken w_r times; never in a half precision."""
+    if values.element_size() >= 4:
+        return values.sum(dim=0) if w is None else w.to(values.dtype) @ values
+    total = torch.zeros(values.shape[1], device=values.device)
+    for part in chunks(len(values), values.shape[1], values.device):
+        total += column_sums(values[part].float(), None if w is None else w[part])
+    return total
 
 
 def activate_(values: Tensor, slope: float) -> Tensor:

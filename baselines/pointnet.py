@@ -71,7 +71,10 @@ class PointNet(nn.Module):
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K) and the penalty."""
         points = normalise(points)
-        x = self.mlp1(points @ self.input_transform(points).view(-1, 3, 3))
+        turn = self.input_transform(points).view(-1, 3, 3)
+        with torch.autocast(points.device.type, enabled=False):
+            turned = points @ turn
+        x = self.mlp1(turned)
         transform = self.feature_transform(x).view(-1, 64, 64)
         logits = self.head(self.mlp2.max(x @ transform))
         with torch.autocast(points.device.type, enabled=False):

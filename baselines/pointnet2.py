@@ -84,22 +84,34 @@ class GroupLinear(Normed):
         self, xyz: Tensor, features: Tensor | None, centres: Tensor, balls: Balls
     ) -> Tensor:
         """(B,N,3), (B,N,C), (B,S,3), their balls → rows (R,C_out)."""
+        with torch.autocast(xyz.device.type, enabled=False):
+            a, c = self._values(xyz, features, centres)
+            bias = 0 if self.linear.bias is None else self.linear.bias
+            moments = None
+            if self.norm.training:
+                mean, var = edge_moments(a, c, balls.index)
+                moments = mean + bias, var
+            scale, shift = self.scale_and_shift(moments, balls.index.numel())
+            a, c = a * scale, (c + bias) * scale + shift
+        return edge_relu(a, c, balls)
+
+    def _values(
+        self, xyz: Tensor, features: Tensor | None, centres: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Those of points and of centres in full precision, without bias: it stays out of a, which
+        keeps the digits of its differences. Features alone are multiplied as they come."""
         weight = self.linear.weight
-        bias = 0 if self.linear.bias is None else self.linear.bias
-        if self.use_xyz:
-            x = xyz if features is None else torch.cat([xyz.to(features.dtype), features], dim=-1)
-            c = -F.linear(centres, weight[:, :3])
+        if features is None or features.dtype == weight.dtype:
+            x = [part for part in (xyz if self.use_xyz else None, features) if part is not None]
+            a = F.linear(torch.cat(x, dim=-1), weight)
         else:
-            assert features is not None
-            x, c = features, features.new_zeros(*centres.shape[:2], len(weight))
-        # The bias stays out of a, which keeps the digits of its differences.
-        a = F.linear(x, weight)
-        moments = None
-        if self.norm.training:
-            mean, var = edge_moments(a, c, balls.index)
-            moments = mean + bias, var
-        scale, shift = self.scale_and_shift(moments, balls.index.numel())
-        return edge_relu(a * scale, (c + bias) * scale + shift, balls)
+            a = F.linear(features, weight[:, 3 * self.use_xyz :].to(features.dtype))
+            a = a.to(weight.dtype)
+            if self.use_xyz:
+                a = a + F.linear(xyz, weight[:, :3])
+        if not self.use_xyz:
+            return a, a.new_zeros(*centres.shape[:2], len(weight))
+        return a, -F.linear(centres, weight[:, :3])
 
 
 class SetAbstraction(nn.Module):

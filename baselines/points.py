@@ -41,6 +41,13 @@ def full_precision(values: Tensor) -> Tensor:
     return values.to(torch.promote_types(values.dtype, torch.float32))
 
 
+def autocast_dtype(values: Tensor) -> torch.dtype:
+    """What a product of these values has: autocast's dtype where it is on, else their own."""
+    device = values.device.type
+    on = torch.is_autocast_enabled(device)
+    return torch.get_autocast_dtype(device) if on else values.dtype
+
+
 def normalise(points: Tensor, radius: float = RADIUS) -> Tensor:
     """Subtracts each cloud's mean point and scales its largest norm to ``radius``.
 

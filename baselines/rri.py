@@ -26,6 +26,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from baselines.chunks import chunks
 from baselines.pointnet2 import PointNet2
 from baselines.points import (
     distances,
@@ -35,7 +36,7 @@ from baselines.points import (
     normalise,
     smallest,
 )
-from baselines.shared_mlp import NormLinear, chunks
+from baselines.shared_mlp import NormLinear
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 

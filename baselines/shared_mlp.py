@@ -27,41 +27,23 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from baselines.balls import Balls
-from baselines.norm_activate import NormActivate, activate_, column_sums
-from baselines.processes import pooled
+from baselines.chunks import chunks
+from baselines.maximum import kept_max, maximum, spread
+from baselines.norm_activate import NormActivate, PlainNormActivate, activate_, column_sums
+from baselines.points import autocast_dtype, full_precision
+from baselines.processes import pooled, world_size
 
-CHUNK, DEVICE_CHUNK = 1 << 20, 1 << 26
-"""Values handled at a time where a product is not kept: 4 MB, which stays in a core's cache, and on
-other devices 256 MB, so that there are few launches and little memory still."""
 COVARIANCE_BELOW = 13
 """Squared input channels per output channel up to which a covariance of inputs is the cheaper way
 to the variances of outputs that are kept. From three layer sizes on one core with AVX-512."""
-FEW_ROWS = 40
-"""Rows a group up to which the gradient of a maximum is a product with a matrix of mostly zeros
-rather than a visit to the chosen rows. An estimate from a profile, not swept."""
-
-
-def chunks(rows: int, values_per_row: int, device: torch.device) -> list[slice]:
-    values = CHUNK if device.type == "cpu" else DEVICE_CHUNK
-    step = max(1, values // values_per_row)
-    return [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
-
-
-def maximum(y: Tensor, top: Tensor, index: Tensor | None) -> None:
-    """Writes the maximum over n of (G,n,C) to ``top`` (G,C), the first n that has it to ``index``.
-
-    Comparing with the maximum is several times faster than a maximum with index.
-    """
-    torch.amax(y, dim=1, out=top)
-    if index is None:
-        return
-    last = y.shape[1] - 1
-    if last < 256:  # bytes are several times faster than whole numbers of 32 bits
-        back = torch.arange(last, -1, -1, dtype=torch.uint8, device=y.device)[:, None]
-        index.copy_((y == top[:, None]).view(torch.uint8).mul_(back).amax(dim=1)).neg_().add_(last)
-        return
-    rank = torch.arange(y.shape[1], dtype=index.dtype, device=y.device)[:, None]
-    torch.amin(torch.where(y == top[:, None], rank, last), dim=1, out=index)
+FEW_INPUTS = 8
+"""Inputs up to which a product stays in full precision: nothing is gained there."""
+KEPT_BELOW = 150
+"""Multiplications for a covariance of inputs and its gradient, for each value of the output, up to
+which a maximum's outputs are not kept."""
+FEW_ROWS = {False: 64, True: 128}
+"""Rows a group, in full and in half precision, up to which the gradient of a maximum is a product
+with a matrix of mostly zeros rather than a visit to the chosen rows."""
 
 
 class _Moments(torch.autograd.Function):
@@ -69,25 +51,35 @@ class _Moments(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, count: int, w: Tensor | None) -> tuple[Tensor, Tensor]:
-        rows, channels = x.shape
-        mean = x.mean(dim=0) if w is None else (w @ x) / count
-        covariance = x.new_zeros(channels, channels)
-        for part in chunks(rows, channels, x.device):
-            centred = x[part] - mean
-            weighted = centred if w is None else centred * w[part, None]
-            covariance.addmm_(weighted.T, centred)
-        ctx.save_for_backward(x, mean, w)
+        channels = x.shape[1]
+        mean = column_sums(x, w) / count
+        # In a half precision the products are of its numbers, their sums are not.
+        centre = mean.to(x.dtype)
+        covariance = torch.zeros(channels, channels, dtype=mean.dtype, device=x.device)
+        for part in chunks(len(x), channels, x.device):
+            centred = x[part] - centre
+            weighted = centred if w is None else centred * w[part, None].to(x.dtype)
+            accumulate(covariance, weighted.T, centred)
+        ctx.save_for_backward(x, centre, w)
         ctx.count = count
-        return mean, covariance / count
+        off = mean - centre
+        return mean, covariance / count - off[:, None] * off
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_mean: Tensor, d_covariance: Tensor) -> tuple[Tensor, None, None]:
-        x, mean, w = ctx.saved_tensors
+        x, centre, w = ctx.saved_tensors
         # d/dx of Σ w(x−m)(x−m)ᵀ/M; the term through the mean vanishes, as Σ w(x−m) does.
-        map_x = (d_covariance + d_covariance.T) / ctx.count
-        d_x = torch.addmm(d_mean / ctx.count - mean @ map_x, x, map_x)
-        return d_x if w is None else d_x.mul_(w[:, None]), None, None
+        map_x, flat = (d_covariance + d_covariance.T) / ctx.count, d_mean / ctx.count
+        if x.dtype == map_x.dtype:
+            d_x = torch.addmm(flat - centre @ map_x, x, map_x)
+            return d_x if w is None else d_x.mul_(w[:, None]), None, None
+        d_x, map_x, flat = torch.empty_like(x), map_x.to(x.dtype), flat.to(x.dtype)
+        for part in chunks(len(x), x.shape[1], x.device):
+            torch.addmm(flat, x[part] - centre, map_x, out=d_x[part])
+            if w is not None:
+                d_x[part].mul_(w[part, None].to(x.dtype))
+        return d_x, None, None
 
 
 def moments(rows: Tensor) -> tuple[Tensor, Tensor]:
@@ -134,12 +126,10 @@ class _LinearMax(torch.autograd.Function):
         groups, size, channels = x.shape
         rows = x.flatten(0, 1)
         d_weight = accumulator(weight)
-        if size <= FEW_ROWS:
+        if size <= FEW_ROWS[x.element_size() < 4]:
             d_x = torch.empty_like(x)
             for part in chunks(groups, size * len(weight), x.device):
-                d_y = x.new_zeros(len(d_top[part]), size, len(weight))
-                d_y.scatter_(1, index[part, None].long(), d_top[part, None])
-                flat = d_y.flatten(0, 1)
+                flat = spread(d_top[part], index[part], size).flatten(0, 1)
                 accumulate(d_weight, flat.T, x[part].flatten(0, 1))
                 torch.mm(flat, weight, out=d_x[part].flatten(0, 1))
             return d_x, d_weight, d_top.sum(dim=0)
@@ -156,17 +146,31 @@ class _LinearMax(torch.autograd.Function):
 
 def autocast(*tensors: Tensor) -> tuple[Tensor, ...]:
     """The tensors in the dtype that autocast would give a matrix product here."""
-    device = tensors[0].device.type
-    if not torch.is_autocast_enabled(device):
-        return tensors
-    return tuple(t.to(torch.get_autocast_dtype(device)) for t in tensors)
+    return tuple(t.to(autocast_dtype(t)) for t in tensors)
+
+
+def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """``F.linear``, but few inputs are multiplied in full precision whatever autocast says.
+
+    They are coordinates, or what is as exact, of which a half precision would leave two digits; the
+    values leave in autocast's dtype all the same.
+    """
+    if x.shape[-1] > FEW_INPUTS:
+        return F.linear(x, weight, bias)
+    with torch.autocast(x.device.type, enabled=False):
+        y = F.linear(x.to(weight.dtype), weight, bias)
+    return autocast(y)[0]
 
 
 def linear_max(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
     """(…,n,C_in) → (…,C_out): the maximum over n of x·weightᵀ + bias."""
-    x, weight, bias = autocast(x, weight, bias)
+    if x.shape[-1] > FEW_INPUTS:
+        x, weight, bias = autocast(x, weight, bias)
+    else:
+        x = x.to(weight.dtype)
     groups = x.reshape(-1, *x.shape[-2:])
-    return _LinearMax.apply(groups, weight, bias).view(*x.shape[:-2], -1)
+    with torch.autocast(x.device.type, enabled=False):
+        return _LinearMax.apply(groups, weight, bias).view(*x.shape[:-2], -1)
 
 
 class Normed(nn.Module):
@@ -233,7 +237,7 @@ class NormLinear(Normed):
         """
         weight, bias = self.linear.weight, self.linear.bias
         with torch.autocast(x.device.type, enabled=False):
-            rows = x.to(weight.dtype).reshape(-1, x.shape[-1])
+            rows = x.reshape(-1, x.shape[-1])
             count = len(rows) if balls is None else balls.index.numel()
             moments = None
             if self.norm.training:
@@ -254,17 +258,24 @@ class NormLinear(Normed):
         """
         inputs, outputs = x.shape[-1], len(self.linear.weight)
         if not self.norm.training or inputs**2 <= COVARIANCE_BELOW * outputs:
-            y = F.linear(x.reshape(-1, inputs), *self.folded(x, balls))
+            y = linear(x.reshape(-1, inputs), *self.folded(x, balls))
             # On rows: in place on a view autograd copies the gradient.
             return activate_(y, slope).view(*x.shape[:-1], outputs)
         rows = x.reshape(-1, inputs)
-        count = len(rows) if balls is None else balls.index.numel()
         weight, bias, norm = self.linear.weight, self.linear.bias, self.norm
+        if balls is None and world_size() == 1:
+            y, count = linear(rows, weight), len(rows)
+            out, mean, var = PlainNormActivate.apply(
+                y, norm.weight, norm.bias, bias, norm.eps, slope
+            )
+            self._track(mean, var, count)
+            return out.view(*x.shape[:-1], outputs)
+        count = len(rows) if balls is None else balls.index.numel()
         with torch.no_grad(), torch.autocast(x.device.type, enabled=False):
             w = None if balls is None else balls.weight.to(weight.dtype)
-            centre = weight @ (column_sums(rows.to(weight.dtype), w) / count)
+            centre = weight @ (column_sums(rows, w) / count)
         # The norm cancels whatever is constant: no gradient goes there, and the bias has none.
-        y = F.linear(rows, weight, -centre)
+        y = linear(rows, weight, -centre)
         with torch.autocast(x.device.type, enabled=False):
             out, mean, var, total = NormActivate.apply(
                 y, norm.weight, norm.bias, centre, bias, w, count, norm.eps, slope,
@@ -278,6 +289,11 @@ class NormLinear(Normed):
 
         A rising activation may follow the maximum instead of preceding it: it picks the same point.
         """
+        inputs, outputs = x.shape[-1], len(self.linear.weight)
+        rows = x.numel() // inputs
+        covariance = inputs**2 * (2 * rows + 3 * outputs) if self.norm.training else 0
+        if covariance > KEPT_BELOW * rows * outputs:
+            return kept_max(self(x))
         return linear_max(x, *self.folded(x))
 
     def max_in_balls(self, x: Tensor, balls: Balls) -> Tensor:
@@ -324,6 +340,14 @@ def activated(layers: Iterable[nn.Module], x: Tensor, slope: float = 0.0) -> Ten
     return rows.view(*x.shape[:-1], -1)
 
 
+class FullPrecision(nn.Sequential):
+    """Layers in full precision whatever autocast says: they see one row a cloud and cost little."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        with torch.autocast(x.device.type, enabled=False):
+            return super().forward(full_precision(x))
+
+
 def head(*channels: int, dropout: tuple[float, ...]) -> nn.Sequential:
     """Fully connected layers with batch norm and ReLU, the last one linear alone.
 
@@ -335,4 +359,4 @@ def head(*channels: int, dropout: tuple[float, ...]) -> nn.Sequential:
     for (a, b), rate in zip(pairwise(hidden), dropout, strict=True):
         layers += [nn.Linear(a, b), nn.BatchNorm1d(b), nn.ReLU(inplace=True)]
         layers += [nn.Dropout(rate)] if rate else []
-    return nn.Sequential(*layers, nn.Linear(hidden[-1], outputs))
+    return FullPrecision(*layers, nn.Linear(hidden[-1], outputs))

@@ -26,8 +26,8 @@ import torch
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from baselines.chunks import chunks
 from baselines.points import normalise
-from baselines.shared_mlp import chunks
 from baselines.spherical_transform import SphericalTransform, colatitudes, directions
 from partialbench.benchmark.prediction import Prediction
 

@@ -18,8 +18,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from baselines.chunks import chunks
 from baselines.points import flat_index, full_precision, knn
-from baselines.shared_mlp import Normed, chunks
+from baselines.shared_mlp import Normed
 
 EPS = 1e-6
 """Added to a vector's length before its normalisation, and to a direction's squared length.

@@ -150,7 +150,7 @@ class SteerableConvolution(nn.Module):
             if self.limit is not None and not self.training:
                 x = self._limited(x, mean, var, self.limit)
             padding = self.padding
-            plan = self._plan(x, low_precision)
+            plan = self._plan(x)
             if plan and self._mixes_later:
                 weights = self._normalised_weights(var)
                 bias = self._bias(weights, mean)
@@ -178,8 +178,8 @@ class SteerableConvolution(nn.Module):
         y = FactorisedConvolution.apply(x, self._geometry(padding), *weights)
         return y if low_precision else y + bias.view(-1, 1, 1, 1)
 
-    def _plan(self, x: Tensor, low_precision: bool) -> Plan | None:
-        """The sizes of the spectral way, where it is to be taken."""
+    def _plan(self, x: Tensor) -> Plan | None:
+        """The sizes of the spectral way, where it is to be taken; it is in full precision."""
         if not self._may_be_spectral:
             return None
         edges = set(x.shape[2:])
@@ -191,7 +191,7 @@ class SteerableConvolution(nn.Module):
                     f"got {tuple(x.shape[2:])}"
                 )
             return plan
-        if len(edges) > 1 or plan.out < 1 or x.device.type != "cpu" or low_precision:
+        if len(edges) > 1 or plan.out < 1 or x.device.type != "cpu":
             return None
         gradients = torch.is_grad_enabled() and any(w.requires_grad for w in self.weights.values())
         channels = self.fields_in.channels, self.fields_out.channels

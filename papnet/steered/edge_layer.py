@@ -20,9 +20,11 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
+from baselines.chunks import chunks
 from baselines.edges import edge_moments
+from baselines.maximum import maximum, spread
 from baselines.points import flat_index, full_precision
-from baselines.shared_mlp import Normed, accumulate, accumulator, autocast, chunks, maximum
+from baselines.shared_mlp import Normed, accumulate, accumulator, autocast
 
 
 class Edges(NamedTuple):
@@ -100,8 +102,7 @@ class _EdgeMax(torch.autograd.Function):
         d_a = torch.zeros_like(d_top).scatter_add_(0, index.gather(1, chosen), d_top)
         d_weight = accumulator(weight)
         for part in chunks(points, k * outputs, e.device):
-            d_y = d_top.new_zeros(len(d_top[part]), k, outputs)
-            d_y.scatter_(1, chosen[part, None], d_top[part, None])
+            d_y = spread(d_top[part], chosen[part], k)
             accumulate(d_weight, d_y.flatten(0, 1).T, e[part].flatten(0, 1))
         return None, d_weight, d_a, None, None
 

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from baselines.chunks import chunks
 from baselines.points import distances, gather, smallest
-from baselines.shared_mlp import chunks
 
 with warnings.catch_warnings():
     # e3nn 0.5 reads its constants with torch.load's old default.

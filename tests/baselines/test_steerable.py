@@ -181,13 +181,12 @@ def test_spectral_needs_a_cube_and_auto_takes_it_where_it_is_cheaper() -> None:
     wide = Fields((16, 16))
     auto = SteerableConvolution(wide, wide, 5, padding=4)
     x = torch.zeros(8, wide.channels, 9, 9, 9)
-    assert auto._plan(x, low_precision=False) == Plan(9, 5, 4, 1)
-    assert auto._plan(x, low_precision=True) is None
-    assert auto._plan(x[..., :-1], low_precision=False) is None
+    assert auto._plan(x) == Plan(9, 5, 4, 1)
+    assert auto._plan(x[..., :-1]) is None
     small = SteerableConvolution(wide, wide, 3, padding=1)
-    assert small._plan(x[:1], low_precision=False) is None
+    assert small._plan(x[:1]) is None
     with torch.no_grad():  # a dense convolution alone is fast, its gradients are not
-        assert small._plan(x, low_precision=False) is None
+        assert small._plan(x) is None
 
 
 @pytest.mark.parametrize(("size", "padding", "stride", "edge"), [(5, 4, 1, 9), (3, 1, 2, 6)])

@@ -100,7 +100,7 @@ def test_chunks_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     whole.square().sum().backward()
     gradient = layer.linear.weight.grad
     layer.zero_grad()
-    monkeypatch.setattr("baselines.shared_mlp.CHUNK", 8 * 3 * 7 * 6 * 4)
+    monkeypatch.setattr("baselines.chunks.CHUNK", 8 * 3 * 7 * 6 * 4)
     parts = layer(as_vectors(points), edges)
     parts.square().sum().backward()
     torch.testing.assert_close(parts, whole)

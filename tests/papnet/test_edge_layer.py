@@ -7,8 +7,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from baselines.chunks import chunks
 from baselines.points import gather
-from baselines.shared_mlp import chunks
 from papnet.steered import edge_layer
 from papnet.steered.edge_layer import EdgeLayer, collect_edges
 
@@ -50,7 +50,7 @@ def layer_of(negative: bool) -> EdgeLayer:
 def test_training_is_that_of_the_plain_layer(
     inputs: tuple[Tensor, ...], negative: bool, step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("baselines.shared_mlp.CHUNK", step)
+    monkeypatch.setattr("baselines.chunks.CHUNK", step)
     parts = len(edge_layer.chunks(CLOUDS * POINTS, NEIGHBOURS * OUTPUTS, torch.device("cpu")))
     assert edge_layer.chunks is chunks
     assert (parts > 1) == (step < 1 << 20)
