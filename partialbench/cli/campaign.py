@@ -69,7 +69,7 @@ def run_missing(
             help="the last milestone to train to: 25k, 100k", show_default="the file's last"
         ),
     ] = None,
-    trials: Annotated[bool, typer.Option(help="also the trials of the file's [[tune]]")] = True,
+    trials: Annotated[bool, typer.Option(help="also the trials that the file asks for")] = True,
     time_limit: Annotated[
         str | None,
         typer.Option(help="save and leave after 45s, 170m or 3h; exit status 75 if jobs are left"),
