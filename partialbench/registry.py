@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from partialbench import extras, given, user_code
+from partialbench import extras, user_code
 from partialbench import options as option_types
 from partialbench.errors import InputError
 
@@ -283,6 +283,8 @@ def create(name: str, num_classes: int, **options: Any) -> nn.Module:
         A module that takes (B,N,3) camera-frame clouds and returns a ``Prediction``; a user's own
         factory may return a module with bare (B,K) logits.
     """
+    from partialbench import given  # with NumPy and SciPy, which the command line's help can spare
+
     num_classes = given.whole_number(num_classes, "num_classes")
     if num_classes < 2:
         raise InputError(f"a classifier needs two classes or more, got {num_classes}")

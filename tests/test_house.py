@@ -80,6 +80,11 @@ def test_importing_is_light(statement):
     assert not loaded_by(statement) & {"torch", "mitsuba", "open3d", "matplotlib"}
 
 
+def test_the_command_line_s_help_needs_no_numbers():
+    """They are a quarter of a second before a word is said."""
+    assert not loaded_by("import partialbench.cli.main") & {"numpy", "scipy", "h5py", "torch"}
+
+
 def test_the_light_import_check_can_fail():
     assert "torch" in loaded_by("import partialbench.benchmark.device")
 
