@@ -175,6 +175,7 @@ class RIConv2(nn.Module):
         self.needs_normals, self.lra_neighbours, self.orient = normals, lra_neighbours, orient
         self.centres, self.signed_angles = centres, signed_angles
         self.quirks = chosen_quirks(quirks, QUIRKS)
+        self.tie = 0.0 if "ties" in self.quirks else TIE
         self.lifts = nn.ModuleList(SharedMLP(8, 32, 64) for _ in range(5))
         self.first = NormLinear(64, 32)
         self.layers = nn.ModuleList(
@@ -188,14 +189,13 @@ class RIConv2(nn.Module):
         x = normalise(points.double(), radius=1.0)
         number = x.shape[1]
         start = None if "start" in self.quirks else farthest_from_centre(x)
-        favour = torch.linalg.vector_norm(x, dim=-1).mul_(0 if "ties" in self.quirks else TIE)
+        favour = self.tie * torch.linalg.vector_norm(x, dim=-1)
         # Each level's points are the first ones of this order, so one matrix serves them all.
         order = farthest_points(x, number, start, repeat=False, favour=favour)
         x, favour = gather(x, order), favour.gather(1, order)
         # A flat cloud has no side away from its centroid; the sense of three far points is one.
-        side = TIE * unit(torch.linalg.cross(x[:, :1], x[:, min(2, number - 1)][:, None], dim=-1))
-        if "ties" in self.quirks:
-            side = torch.zeros_like(side)
+        third = x[:, min(2, number - 1)][:, None]
+        side = self.tie * unit(torch.linalg.cross(x[:, :1], third, dim=-1))
         # A point stays its own nearest: no other is nearer the centroid by more than it is away.
         distance = distances(x, x) + favour[:, None]
         most = min(max(self.lra_neighbours, NEIGHBOURS[1]), number)
@@ -227,7 +227,7 @@ class RIConv2(nn.Module):
         relative = x - centroid
         axis = local_axes(relative)[:, None]
         if "signs" not in self.quirks:
-            skew = dot(relative, axis).pow(3).sum(dim=1) + TIE * dot(side, axis)[:, 0]
+            skew = dot(relative, axis).pow(3).sum(dim=1) + self.tie * dot(side, axis)[:, 0]
             axis = torch.where(skew[:, None, None] < 0, -axis, axis)
         near = torch.arange(x.shape[1], device=x.device).expand(len(x), 1, -1)
         return self._level(cloud, near, centroid, axis, whole=True)
@@ -242,8 +242,7 @@ class RIConv2(nn.Module):
         # Of neighbours at one angle the nearer comes first.
         far = torch.linalg.vector_norm(relative, dim=-1)
         share = far / far.amax(dim=-1, keepdim=True).clamp_min(1e-12)
-        place = key if "ties" in self.quirks else key - TIE * share
-        order = place.sort(dim=-1, descending=True, stable=True).indices
+        order = (key - self.tie * share).sort(dim=-1, descending=True, stable=True).indices
         key = key.gather(-1, order)
         x, n, _ = grouped.gather(2, order[..., None].expand_as(grouped)).split((3, 3, 1), dim=-1)
         seen = x if whole else x - p[:, :, None]
