@@ -25,8 +25,7 @@ from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
 
 __all__ = [
-    "Answer", "Classifier", "captures", "draw", "find_checkpoint", "load_model", "predict",
-    "read_points",
+    "Answer", "Classifier", "captures", "draw", "find_checkpoint", "load_model", "read_points",
 ]  # fmt: skip
 
 log = logging.getLogger(__name__)
@@ -105,19 +104,6 @@ def load_model(
         answer.class_name, answer.confidence, answer.rotation
     """
     return Classifier(weights, device, model)
-
-
-def predict(
-    checkpoint_file: Path | str,
-    file: Path | str,
-    K: ArrayLike | None = None,
-    depth_scale: float = 1.0,
-    device: str = "cpu",
-    votes: int = VOTES,
-    model: str | None = None,
-) -> Answer:
-    """Classifies one segmented object: see ``Classifier``, which keeps its model for many."""
-    return Classifier(checkpoint_file, device, model)(file, K, depth_scale, votes)
 
 
 class Classifier:

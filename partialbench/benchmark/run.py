@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import logging
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,9 +61,9 @@ def run_eval(
     precision: str = FULL_PRECISION,
     log_to: str = "csv",
     checkpoint_every: int | None = None,
-    test_points: int | Sequence[int] = (),
-    test_poses: str | float | Sequence[str | float] = (),
-    test_damages: str | Sequence[str] = (),
+    test_points: int | Sequence[int] | Mapping[Path, Sequence[int]] = (),
+    test_poses: str | float | Sequence[str | float] | Mapping[Path, Sequence[str]] = (),
+    test_damages: str | Sequence[str] | Mapping[Path, Sequence[str]] = (),
     test_grid: Path | str | Sequence[Path | str] | None = None,
     recipe: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
@@ -99,7 +99,8 @@ def run_eval(
             too.
         checkpoint_every: save every so many steps, besides every few minutes.
         precision: as Fabric names it ("32-true", "bf16-mixed"); testing is always in 32 bits.
-        test_points: test on clouds of so many points too, beside the number trained on.
+        test_points: test on clouds of so many points too, beside the number trained on. This and
+            the next two are for every folder, or a mapping from a folder to what is asked of it.
         test_poses: test with the pose given too, see ``given_pose.parse``: "0" or 0 for the true
             one, "15" with noise, "class:0" under each class's own symmetry, "random". Only for a
             model that takes one.
@@ -131,27 +132,20 @@ def run_eval(
     recipe, protocol = given.mapping(recipe, "recipe"), given.mapping(protocol, "protocol")
     model = user_code.named(model)
     preflight.check(
-        model, data=tests.folders, results=results_folder, device=device, precision=precision,
+        model, data=tests.paths, results=results_folder, device=device, precision=precision,
         checkpoints=[path for path in (checkpoint_file, start_from) if path is not None],
     )  # fmt: skip
     check_log(log_to)
     fabric = make_fabric(device, precision)
     if checkpoint_file is not None:
-        if start_from is not None:
-            raise InputError(
-                "--checkpoint tests weights as they are, --start-from trains on from them: give one"
-            )
-        of_training = {
-            "--recipe": recipe, "--protocol": protocol or protocol_overrides,
-            "--seeds": seeds != 1, "--first-seed": first_seed,
-            "--precision": precision != FULL_PRECISION, "--clouds": clouds, "--restart": restart,
-        }  # fmt: skip
-        unused = [name for name, wanted in of_training.items() if wanted]
-        if unused:
-            raise InputError(
-                f"--checkpoint tests finished weights, so {', '.join(unused)} would have no "
-                f"effect; leave it out, or train without --checkpoint"
-            )
+        _refuse_with_checkpoint(
+            {
+                "--recipe": recipe, "--protocol": protocol or protocol_overrides,
+                "--seeds": seeds != 1, "--first-seed": first_seed, "--clouds": clouds,
+                "--precision": precision != FULL_PRECISION, "--restart": restart,
+            },
+            start_from,
+        )  # fmt: skip
         return _test_checkpoint(
             model, find_checkpoint(checkpoint_file), tests, preset, options, fabric, results_folder
         )
@@ -162,38 +156,25 @@ def run_eval(
         keep_freed_memory()
     followed = protocols.protocol(preset, **{**protocol, **protocol_overrides})
     goals = milestones_of(followed, clouds)
-    card = models.card_of(model)
-    own = recipes.of_protocol(card, followed)
-    changed = recipes.changes(own, recipe)
-    used = recipes.override(own, recipe)
-    chosen = models.chosen_options(model, options)
     train_set = ShardDataset(data, "train", followed.num_points)
-    test_sets, cells = tests.open(followed.num_points, train_set.class_names)
-    _say_odd_classes(train_set, test_sets[0])
-    if inputs.NORMALS in card.inputs:
-        for part in (train_set, *test_sets, *cells):
-            inputs.require(part, model)
-    if tests.poses:  # before a training that could not be tested so
-        fresh = models.create(model, len(train_set.class_names), chosen)
-        tests.try_poses(model, fresh, test_sets, train_set.class_names)
-
-    written = []
-    start = None if start_from is None else finetune.load(start_from, model)
-    origin = None if start is None else start.origin
-    variant = describe_changes(changed, chosen, origin, precision_of(fabric))
-    tasks = [
-        make_task(model, train_set, followed, used, seed, chosen, variant, start)
-        for seed in range(first_seed, first_seed + seeds)
-    ]
+    tasks = _tasks(
+        model, train_set, followed, recipe, models.chosen_options(model, options),
+        range(first_seed, first_seed + seeds), start_from, precision_of(fabric),
+    )  # fmt: skip
+    to_test = tests.open(followed.num_points, train_set.class_names)
+    # All that can be wrong is found before anything is trained or deleted.
+    _require_testable(tasks[0], train_set, to_test)
     for task in tasks:
-        for goal in goals:  # before anything is trained or deleted
-            milestones.plan(followed, used, goal, len(task.train_rows))
-    dry_run.try_out(tasks[0], fabric, test_sets, tests.poses, tests.damages)
+        for goal in goals:
+            milestones.plan(followed, task.recipe, goal, len(task.train_rows))
+    dry_run.try_out(tasks[0], fabric, [test for test in to_test if not test.clouds.grid])
     if restart and fabric.is_global_zero:
         for task in tasks:
             with hold(runs_folder / run_folder(task)):
                 shutil.rmtree(runs_folder / run_folder(task), ignore_errors=True)
     fabric.barrier()
+
+    written = []
     # The nearest milestone of every seed first: a table that is stopped is even.
     for goal in goals:
         for task in tasks:
@@ -206,9 +187,8 @@ def run_eval(
                 if fabric.is_global_zero:
                     content = checkpoint.load(RunFolder(folder).branch(goal))
                     written += testing.run_tests(
-                        content, trained.model, [*test_sets, *cells], tests.poses, fabric,
-                        results_folder, tests.damages,
-                    )  # fmt: skip
+                        content, trained.model, to_test, fabric, results_folder
+                    )
             fabric.barrier()
     return written
 
@@ -228,6 +208,39 @@ def milestones_of(protocol: Protocol, clouds: Sequence[str | int] | None) -> tup
             f"way, got {', '.join(map(milestones.name, goals))}; give one number of clouds"
         )
     return goals
+
+
+def _tasks(
+    model: str,
+    train_set: ShardDataset,
+    protocol: Protocol,
+    changes: Mapping[str, Any],
+    options: dict[str, Any],
+    seeds: Iterable[int],
+    start_from: Path | str | None,
+    precision: str,
+) -> list[Task]:
+    """A training of each seed, by the model's own recipe with changes."""
+    own = recipes.of_protocol(models.card_of(model), protocol)
+    start = None if start_from is None else finetune.load(start_from, model)
+    variant = describe_changes(
+        recipes.changes(own, changes), options, None if start is None else start.origin, precision
+    )
+    used = recipes.override(own, changes)
+    return [
+        make_task(model, train_set, protocol, used, seed, options, variant, start) for seed in seeds
+    ]
+
+
+def _require_testable(task: Task, train_set: ShardDataset, tests: Sequence[testing.Test]) -> None:
+    """Raises ``InputError`` where the data lack what the model reads, or it takes no pose."""
+    _say_odd_classes(train_set, tests[0].clouds)
+    if inputs.NORMALS in models.card_of(task.model).inputs:
+        for part in (train_set, *(test.clouds for test in tests)):
+            inputs.require(part, task.model)
+    if any(test.poses for test in tests):
+        fresh = models.create(task.model, len(train_set.class_names), task.options)
+        asked.try_poses(task.model, fresh, tests, train_set.class_names)
 
 
 def make_task(
@@ -268,6 +281,19 @@ def run_folder(task: Task) -> str:
     )
 
 
+def _refuse_with_checkpoint(of_training: Mapping[str, Any], start_from: Path | str | None) -> None:
+    """Raises ``InputError`` where something is asked for that finished weights take no more."""
+    if start_from is not None:
+        raise InputError(
+            "--checkpoint tests weights as they are, --start-from trains on from them: give one"
+        )
+    if unused := [name for name, wanted in of_training.items() if wanted]:
+        raise InputError(
+            f"--checkpoint tests finished weights, so {', '.join(unused)} would have no "
+            f"effect; leave it out, or train without --checkpoint"
+        )
+
+
 def _test_checkpoint(
     model_name: str,
     path: Path,
@@ -298,22 +324,14 @@ def _test_checkpoint(
             f"{path}: {changed}: one record would tell of two models. Test with the file as it "
             f"was, or train again"
         )
-    test_sets, cells = tests.open(content["num_points"], tuple(content["class_names"]))
+    to_test = tests.open(content["num_points"], tuple(content["class_names"]))
     if inputs.needs_normals(model):
-        for part in (*test_sets, *cells):
-            inputs.require(part, model_name)
-    tests.try_poses(model_name, model, test_sets, content["class_names"])
+        for test in to_test:
+            inputs.require(test.clouds, model_name)
+    asked.try_poses(model_name, model, to_test, content["class_names"])
     written = []
     if fabric.is_global_zero:
-        written = testing.run_tests(
-            content,
-            model,
-            [*test_sets, *cells],
-            tests.poses,
-            fabric,
-            results_folder,
-            tests.damages,
-        )
+        written = testing.run_tests(content, model, to_test, fabric, results_folder)
     fabric.barrier()
     return written
 

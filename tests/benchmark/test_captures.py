@@ -11,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from partialbench.benchmark.captures import read_points
-from partialbench.benchmark.predict import Classifier, find_checkpoint, predict
+from partialbench.benchmark.predict import Classifier, find_checkpoint
 from partialbench.cli import app
 from partialbench.errors import InputError
 from tests.benchmark.tiny_models import MODELS
@@ -28,7 +28,8 @@ def test_a_chair_far_away_stays_a_chair(weights, tmp_path, rng):
     points = rng.standard_normal((200, 3)) * (0.3, 0.5, 1)
     np.save(tmp_path / "near.npy", points)
     np.save(tmp_path / "far.npy", points + (500_000, 4_649_776, 120))
-    near, far = (predict(weights, tmp_path / f"{n}.npy", model=MODEL) for n in ("near", "far"))
+    classify = Classifier(weights, model=MODEL)
+    near, far = (classify(tmp_path / f"{name}.npy") for name in ("near", "far"))
     assert [name for name, _ in far.top] == [name for name, _ in near.top]
     assert far.confidence == pytest.approx(near.confidence, abs=1e-3)
     moved = read_points(tmp_path / "far.npy")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from partialbench.benchmark.predict import Classifier, predict
+from partialbench.benchmark.predict import Classifier
 from partialbench.benchmark.run import run_eval
 from partialbench.benchmark.training import checkpoint
 from partialbench.errors import InputError
@@ -68,7 +68,7 @@ def test_a_model_is_not_imported_because_a_file_says_so(content, tmp_path, cloud
             options={"cmd": "touch OWNED"} if "pydoc" in name else {},
         )  # fmt: skip
         with pytest.raises(InputError, match="Code is imported only if you name it"):
-            predict(path, cloud)
+            Classifier(path)(cloud)
         with pytest.raises(InputError, match="is not one of ours"):
             checkpoint.build_model(checkpoint.load(path))
         for known in (MODEL, "pointnet"):
@@ -79,23 +79,23 @@ def test_a_model_is_not_imported_because_a_file_says_so(content, tmp_path, cloud
 
 
 def test_a_user_names_their_own_model(weights, cloud):
-    assert predict(weights, cloud, model=MODEL).points_given == 80
+    assert Classifier(weights, model=MODEL)(cloud).points_given == 80
     with pytest.raises(InputError, match="give --model with the module:factory"):
-        predict(weights, cloud)
+        Classifier(weights)(cloud)
     with pytest.raises(InputError, match="give --model with the module:factory"):
-        predict(weights, cloud, model="pointnet")
+        Classifier(weights, model="pointnet")(cloud)
 
 
 def test_options_of_a_stranger_reach_only_parameters_of_the_factory(content, tmp_path, cloud):
     path = resigned(tmp_path / "a.pt", content, model="dgcnn", options={"k": 5, "cmd": "id"})
     with pytest.raises(InputError, match="dgcnn has no option 'cmd'"):
-        predict(path, cloud)
+        Classifier(path)(cloud)
     path = resigned(tmp_path / "b.pt", content, model="dgcnn", options={"k": "touch OWNED"})
     with pytest.raises(InputError, match="option k must be a whole number"):
-        predict(path, cloud)
+        Classifier(path)(cloud)
     path = resigned(tmp_path / "c.pt", content, model="nonesuch", model_code="")
     with pytest.raises(InputError, match="no model named 'nonesuch'"):
-        predict(path, cloud)
+        Classifier(path)(cloud)
 
 
 def test_weights_of_another_shape_or_kind_are_named(content, tmp_path):
@@ -202,7 +202,7 @@ def test_a_hundred_changed_fields_are_a_sentence_each(content, data, tmp_path):
             torch.save(changed, path)
         else:
             resigned(path, changed)
-        refused += said(lambda path=path: predict(path, tmp_path / "cloud.npy", model=MODEL))
+        refused += said(lambda path=path: Classifier(path, model=MODEL)(tmp_path / "cloud.npy"))
         if number % 5 == 0:
             test = {"checkpoint_file": path, "device": "cpu", "results_folder": tmp_path / "r"}
             said(lambda test=test: run_eval(MODEL, data, **test))

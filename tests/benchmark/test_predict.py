@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +11,16 @@ import torch
 import trimesh
 from PIL import Image
 
-from partialbench.benchmark import predict as asked
-from partialbench.benchmark.predict import draw, read_points
+from partialbench.benchmark.predict import Answer, Classifier, draw, read_points
 from partialbench.benchmark.training import checkpoint
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 from tests.benchmark.memory_clouds import MemoryClouds
 from tests.benchmark.tiny_models import MODELS
 
-predict = functools.partial(asked.predict, model=f"{MODELS}:Posed")
+
+def predict(weights: Path, *capture: Any, **how: Any) -> Answer:
+    return Classifier(weights, model=f"{MODELS}:Posed")(*capture, **how)
 
 
 @pytest.fixture(scope="module")

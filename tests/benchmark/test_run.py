@@ -16,12 +16,12 @@ import torch
 from typer.testing import CliRunner
 
 from leaderboard.check import problems
-from partialbench.benchmark.predict import predict
+from partialbench.benchmark.predict import Classifier
 from partialbench.benchmark.protocol.split import balanced_subset
 from partialbench.benchmark.records import results
 from partialbench.benchmark.run import run_eval
 from partialbench.benchmark.testing import asked, metrics
-from partialbench.benchmark.testing.asked import Asked
+from partialbench.benchmark.testing.asked import Asked, Folder
 from partialbench.benchmark.testing.run import _test_rows
 from partialbench.cli import app
 from partialbench.dataset.loader import ShardDataset
@@ -97,11 +97,21 @@ def test_a_class_that_only_a_few_of_the_clouds_have_is_found(tmp_path, data, lim
 
 
 def test_one_test_or_several_each_folder_once():
-    once = asked.read("a", ["b", Path("a")], None, 64, 0, "jitter:3")
-    assert once == Asked([Path("a"), Path("b")], [], [64], ["0"], ("jitter:3",))
+    a, b = Path("a"), Path("b")
+    conditions = (64,), ("0",), ("jitter:3",)
+    once = asked.read("a", ["b", a], None, 64, 0, "jitter:3")
+    assert once == Asked([Folder(a, *conditions), Folder(b, *conditions)], [])
     assert asked.read(None, "a", None, [64, 128], ["0", "class:0"], ["jitter:3", "scale:1"]) == (
-        Asked([Path("a")], [], [64, 128], ["0", "class:0"], ("jitter:3", "scale:1"))
+        Asked([Folder(a, (64, 128), ("0", "class:0"), ("jitter:3", "scale:1"))], [])
     )
+
+
+def test_conditions_of_one_folder_are_not_those_of_another():
+    a, b = Path("a"), Path("b")
+    of_each = asked.read("a", "b", None, {"b": 64}, {b: ["0"], "a": "15"}, {a: "jitter:3"})
+    assert of_each == Asked([Folder(a, (), ("15",), ("jitter:3",)), Folder(b, (64,), ("0",))], [])
+    with pytest.raises(InputError, match=r"test_points names c, which is not tested on; tested on"):
+        asked.read("a", "b", None, {"c": 64}, (), ())
 
 
 def test_a_shared_class_without_a_cloud_is_no_test(data):
@@ -348,7 +358,7 @@ def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(
     with pytest.raises(InputError, match="has changed since"):
         run_eval("edited_model:Mine", data, checkpoint_file=path, results_folder="out")
     np.save("cloud.npy", np.eye(3)[np.arange(30) % 3] + np.arange(30)[:, None])
-    predict(path, "cloud.npy", model="edited_model:Mine")
+    Classifier(path, model="edited_model:Mine")("cloud.npy")
     assert "has changed since the training" in caplog.text
     train(first_seed=1)
     (problem,) = problems(Path("out"))

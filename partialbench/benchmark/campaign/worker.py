@@ -107,13 +107,16 @@ def _work(job: Job, order: dict[str, Any], stop: Path) -> None:
         return
     from partialbench.benchmark.run import run_eval
 
+    asked: dict[str, dict[Path, list[Any]]] = {"points": {}, "pose": {}, "damage": {}}
+    for test in job.tests:
+        for kind, of_folder in asked.items():
+            if condition := getattr(test, kind):
+                of_folder.setdefault(Path(folders[test.data]), []).append(condition)
     run_eval(
         job.model, folders[job.data],
         [folders[t.data] for t in job.tests if t.data != job.data and not t.cell],
         seeds=1, first_seed=job.seed, clouds=[job.clouds], recipe=json.loads(job.recipe),
-        test_points=[t.points for t in job.tests if t.points is not None],
-        test_poses=[t.pose for t in job.tests if t.pose],
-        test_damages=[t.damage for t in job.tests if t.damage],
+        test_points=asked["points"], test_poses=asked["pose"], test_damages=asked["damage"],
         test_grid=[Path(folders[t.data]) / t.cell for t in job.tests if t.cell], **common,
     )  # fmt: skip
 

@@ -37,26 +37,35 @@ from partialbench.registry import ModelCard, Recipe
 log = logging.getLogger(__name__)
 
 
+@dataclasses.dataclass(frozen=True)
+class Test:
+    """Clouds to be tested on as they are, with each pose given, and with each damage done.
+
+    Poses and damages are named as ``given_pose.parse`` and ``damage.parse`` do.
+    """
+
+    clouds: Clouds
+    poses: Sequence[str] = ()
+    damages: Sequence[str] = ()
+
+
 def run_tests(
     content: Mapping[str, Any],
     model: nn.Module,
-    test_sets: Sequence[Clouds],
-    test_poses: Sequence[str],
+    tests: Sequence[Test],
     fabric: Fabric,
     folder: Path,
-    damages: Sequence[str] = (),
 ) -> list[Result]:
-    """Tests a finished checkpoint's model on each test set, with each pose given, and damaged.
+    """Makes the tests of a finished checkpoint's model.
 
-    Poses and damages (see ``damage.parse``) are for clouds of the size trained on alone: a test
-    under two conditions lies on no curve. Cost and audit are measured once for each test set, and
-    once for all cells of a grid.
+    Cost and audit are measured once for each, and once for all cells of a grid.
     """
     device, classes = fabric.device, len(content["class_names"])
     model = model.to(device)
     written = []
     of_grid: dict[str, Any] = {}
-    for test_set in test_sets:
+    for test in tests:
+        test_set = test.clouds
         if test_set.grid and of_grid:
             written.append(_test(content, model, test_set, fabric, folder, of_grid))
             continue
@@ -77,9 +86,8 @@ def run_tests(
         written.append(one())
         if test_set.grid:
             of_grid = measured
-        elif test_set.num_points == content["num_points"]:
-            written += [one(pose=pose) for pose in test_poses]
-            written += [one(damaged=name) for name in damages]
+        written += [one(pose=pose) for pose in test.poses]
+        written += [one(damaged=name) for name in test.damages]
     return written
 
 

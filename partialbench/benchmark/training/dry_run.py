@@ -45,16 +45,14 @@ TURNS = 4
 def try_out(
     task: Task,
     fabric: Fabric,
-    test_sets: Sequence[Clouds] = (),
-    poses: Sequence[str] = (),
-    damages: Sequence[str] = (),
+    tests: Sequence[testing.Test] = (),
 ) -> None:
     """Trains one batch, answers for clouds alone and turned, and writes and reads the records.
 
     Args:
         task: the training to come.
-        test_sets, poses, damages: as the evaluation will test it, each damage in one strength; none
-            for a training that is not tested.
+        tests: as the evaluation will make them, each damage in one strength; none for a training
+            that is not tested.
 
     Raises:
         InputError: what will not work, and where. Errors that are sentences already pass as they
@@ -77,12 +75,17 @@ def try_out(
         with _saying(task.model, "reading back its weights"):
             _require_readable(RunFolder(folder).branch(goal), task.model, fabric)
         _answer(task, model, fabric.device)
-        if fabric.is_global_zero and test_sets:
+        if fabric.is_global_zero and tests:
             with _saying(task.model, "testing, and writing and reading its record,"):
                 content = checkpoint.load(RunFolder(folder).branch(goal))
-                strongest = [*{name.partition(":")[0]: name for name in damages}.values()]
-                testing.run_tests(content, model, test_sets, poses, fabric, folder, strongest)
+                testing.run_tests(content, model, [*map(_shorter, tests)], fabric, folder)
     fabric.barrier()
+
+
+def _shorter(test: testing.Test) -> testing.Test:
+    """With each damage in one strength, the last that is named."""
+    strongest = {name.partition(":")[0]: name for name in test.damages}
+    return dataclasses.replace(test, damages=[*strongest.values()])
 
 
 @contextlib.contextmanager
