@@ -1,6 +1,6 @@
 """The folder a board is written to: what an earlier board left there and this one lacks goes.
 
-Only files that a board wrote: it keeps a list of them.
+Only files that a board wrote, of which it keeps a list: what others put there is left as it is.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
 from partialbench.dataset.shards import make_folder, write_atomically
+from partialbench.errors import InputError
 
 LIST = ".board-files.json"
 
@@ -22,10 +23,16 @@ def write_board(out: Path, contents: Mapping[str, bytes]) -> list[Path]:
         the paths written.
 
     Raises:
-        InputError: the folder cannot be made.
+        InputError: the folder cannot be made, or has files of others where the board's would go.
     """
     make_folder(out)
     earlier = _listed(out)
+    taken = sorted(name for name in contents.keys() - earlier if (out / name).exists())
+    if taken:
+        raise InputError(
+            f"{out} has files of such names that no board wrote: {', '.join(taken[:5])}. Choose "
+            f"another folder, or delete them"
+        )
     # All that may be there, before anything is: an interruption loses track of nothing.
     _write_list(out, earlier | contents.keys())
     for name, content in contents.items():

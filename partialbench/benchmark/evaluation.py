@@ -65,7 +65,8 @@ def evaluate(
 
 
 def name_of(model: str | Callable[..., nn.Module]) -> str:
-    """The name by which a record tells of a model: as given, registered, or "file.py:factory".
+    """The name by which a record tells of a model: as given, registered, "module:factory" of the
+    current folder as the command line would have it, or "file.py:factory" of another.
 
     Raises:
         InputError: a factory that cannot be found again from a file.
@@ -92,4 +93,9 @@ def name_of(model: str | Callable[..., nn.Module]) -> str:
             f"{name} of {module} has no name in its file by which a record could tell of it: "
             f"define it there as a function, def make(num_classes): …"
         )
-    return user_code.named(f"{Path(file).resolve()}:{name}")
+    path, plain = Path(file).resolve(), f"{module}:{name}"
+    found = user_code.find(plain)
+    # One name for one model, however it was given: two would be two rows.
+    if found is not None and found.resolve() == path:
+        return plain
+    return user_code.named(f"{path}:{name}")

@@ -109,6 +109,10 @@ def _values(content: Mapping[str, Any], axis: str, where: str) -> list[Any]:
                 registry.load(registry.MAKE_SENSOR)(value)
             elif axis == "occluders":
                 require_share(float(value))
+                if float(Cell(occluders=float(value)).name.rpartition("_")[2]) != value:
+                    raise InputError(
+                        f"a share of occluders is named by six digits at most, got {value!r}"
+                    )
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
     if not values:

@@ -153,7 +153,7 @@ def test_a_model_begins_from_the_weights_of_a_training(weights):
         create_model("pointnet", 3, pretrained=weights)
 
 
-def test_a_trained_model_and_a_factory_are_evaluated_by_name(weights, data, tmp_path):
+def test_a_trained_model_and_a_factory_are_evaluated_by_name(weights, data, tmp_path, monkeypatch):
     classifier = load_model(weights, "cpu")
     (tested,) = evaluate(classifier, data, results=tmp_path, device="cpu")
     assert tested.model == f"{MODELS}:Posed"
@@ -170,6 +170,9 @@ def test_a_trained_model_and_a_factory_are_evaluated_by_name(weights, data, tmp_
     from tests.benchmark import tiny_models
 
     assert name_of(PointNet) == "pointnet"
+    monkeypatch.chdir(Path(__file__).parents[2])
+    assert name_of(tiny_models.Posed) == "tests.benchmark.tiny_models:Posed"
+    monkeypatch.chdir(tmp_path)
     assert name_of(tiny_models.Posed).endswith("tiny_models.py:Posed")
     for odd, message in ((lambda k: None, "has no name in its file"),
                          (partial(PointNet, width=2), "put the factory into a file of its own"),

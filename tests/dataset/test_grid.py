@@ -54,6 +54,7 @@ def test_an_axis_left_out_has_one_value():
         ("sensor = ['ideal', 'kinekt']", r"grid\.toml: no sensor named 'kinekt'; did you mean"),
         ("sensor = 'tof:0'", r"grid\.toml: strength must be a finite number > 0"),
         ("occluders = [0, 0.95]", "must hide a share of 0 to 0.9, got 0.95"),
+        ("occluders = [0.25, 0.25000001]", "named by six digits at most, got 0.25000001"),
         ("occluders = nan", "must hide a share of 0 to 0.9, got nan"),
         ("shown = ", "not TOML"),
     ],

@@ -10,8 +10,9 @@ import subprocess
 import pytest
 
 from leaderboard.build import build_leaderboard
-from leaderboard.output import LIST
+from leaderboard.output import LIST, write_board
 from leaderboard.tables.plain import csv_cell, markdown, visible
+from partialbench.errors import InputError
 from tests.leaderboard.records import CLASSES, add
 
 NAMES = ["$x_1$ and $y^2$", "a|b", "=1+1|cmd", "+x", "-y", "@z", "<img src=x onerror=alert(1)>",
@@ -125,14 +126,24 @@ def test_an_earlier_boards_files_leave_and_nothing_else(tmp_path):
 def test_a_list_that_points_elsewhere_deletes_nothing(tmp_path):
     results, out = tmp_path / "r", tmp_path / "b"
     add(results, "one", 0.5)
-    build_leaderboard(results, out, with_figures=True)
+    written = build_leaderboard(results, out, with_figures=True)
     victim = tmp_path / "victim"
     victim.write_text("kept")
     for names in (["../victim", str(victim), "figures"], {"a": 1}, "x", [1]):
         (out / LIST).write_text(str(names).replace("'", '"'))
+        for path in written:
+            path.unlink()
         build_leaderboard(results, out, with_figures=True)
     assert victim.exists()
     assert (out / "figures").is_dir()
+
+
+def test_a_file_that_no_board_wrote_is_never_written_over(tmp_path):
+    (tmp_path / "leaderboard.csv").write_text("mine")
+    with pytest.raises(InputError, match=r"that no board wrote: leaderboard\.csv\. Choose another"):
+        write_board(tmp_path, {"leaderboard.csv": b"ours", "leaderboard.md": b"ours"})
+    assert (tmp_path / "leaderboard.csv").read_text() == "mine"
+    assert not (tmp_path / "leaderboard.md").exists()
 
 
 def test_class_names_may_hold_signs_too(tmp_path, monkeypatch):
