@@ -27,15 +27,10 @@ CLASSES = 40
 NUM_POINTS = 600
 
 
-def heavy(name: str) -> bool:
-    """Whether the model works on a dense grid, where a batch takes seconds on one core."""
-    return "64³" in CARDS[name].representation or "64^3" in CARDS[name].representation
-
+SMALL = {"papnet": {"grid": 16}, "steerable-cnn": {"grid": 8}}
+"""Options of the voxel models but for their shapes: on 64³ a batch takes seconds on one core."""
 
 every_model = pytest.mark.parametrize("name", CARDS)
-every_model_heavy_slow = pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow) if heavy(n) else n for n in CARDS]
-)
 
 
 @functools.cache
@@ -68,16 +63,16 @@ def make(name: str, classes: int = CLASSES, **options: Any) -> nn.Module:
     return model
 
 
-def fresh(name: str, classes: int = CLASSES) -> nn.Module:
+def fresh(name: str, classes: int = CLASSES, **options: Any) -> nn.Module:
     torch.manual_seed(0)
-    return make(name, classes)
+    return make(name, classes, **options)
 
 
 @functools.cache
 def settled(name: str) -> nn.Module:
     """A model in evaluation whose batch norms have seen data and no parameter is at a special
     value (transforms that start at the identity, norms at scale 1). Shared: do not change it."""
-    model = fresh(name)
+    model = fresh(name, **SMALL.get(name, {}))
     with torch.no_grad():
         for parameter in model.parameters():
             parameter.add_(0.02 * torch.randn_like(parameter))
@@ -85,9 +80,7 @@ def settled(name: str) -> nn.Module:
             if isinstance(getattr(module, "momentum", None), float):  # any batch normalisation
                 # The running statistics become those of one batch.
                 cast(Any, module).momentum = 1.0
-        batch = clouds()
-        for _ in range(1 if heavy(name) else 6):
-            model.train()(batch)
+        model.train()(clouds())
     return model.eval()
 
 
@@ -113,7 +106,8 @@ def test_a_model_says_as_its_card_does_what_it_takes(name: str) -> None:
 
 @every_model
 def test_shapes(name: str) -> None:
-    for classes in (2, 15):
+    """As published; of the voxel models once, which takes seconds."""
+    for classes in (15,) if name in SMALL else (2, 15):
         out = fresh(name, classes).eval()(clouds()[:2])
         assert isinstance(out, Prediction)
         assert out.class_logits.shape == (2, classes)
@@ -124,7 +118,7 @@ def test_shapes(name: str) -> None:
 
 @every_model
 def test_evaluation_is_deterministic_and_takes_one_cloud(name: str) -> None:
-    model, points = settled(name), clouds()[: 2 if heavy(name) else 3]
+    model, points = settled(name), clouds()[:3]
     whole = logits(model, points)
     assert torch.equal(whole, logits(model, points))
     scale = float(whole.abs().max())
@@ -134,14 +128,14 @@ def test_evaluation_is_deterministic_and_takes_one_cloud(name: str) -> None:
         )
 
 
-@every_model_heavy_slow
+@every_model
 def test_other_numbers_of_points_are_taken(name: str) -> None:
     for number in (256, 1024):
         points = clouds()[:2, torch.arange(number) % NUM_POINTS]
         assert logits(settled(name), points).isfinite().all()
 
 
-@every_model_heavy_slow
+@every_model
 def test_logits_depend_on_the_cloud(name: str) -> None:
     out = logits(settled(name), clouds()[:3])
     assert (out[0] - out[1]).abs().max() > 1e-3 * out.abs().max()
@@ -152,7 +146,7 @@ def test_a_gradient_reaches_every_parameter(name: str) -> None:
     """After one noisy step away from layers that start at zero. A bias that a following batch norm
     cancels has a gradient of rounding only, so biases need merely be reached."""
     model = copy.deepcopy(settled(name)).train()
-    out = model(clouds()[:2] if heavy(name) else clouds()[:4])
+    out = model(clouds()[:4])
     weights = torch.randn(out.class_logits.shape, generator=torch.Generator().manual_seed(1))
     loss = (out.class_logits * weights).sum()
     if out.pose_logits is not None:
@@ -170,13 +164,8 @@ def test_a_gradient_reaches_every_parameter(name: str) -> None:
     "name", [n if n == "pointnet" else pytest.param(n, marks=pytest.mark.slow) for n in CARDS]
 )
 def test_eight_clouds_are_overfitted(name: str) -> None:
-    """All eight are told apart in evaluation mode; a model of a wrong graph or gradient is not.
-
-    The voxel models take a small grid here: on 64³ a hundred steps last an hour.
-    """
-    torch.manual_seed(0)
-    grids = {"papnet": 16, "steerable-cnn": 8}
-    model = make(name, **({"grid": grids[name]} if heavy(name) else {}))
+    """All eight are told apart in evaluation mode; a model of a wrong graph or gradient is not."""
+    model = fresh(name, **SMALL.get(name, {}))
     points, label = clouds(), torch.arange(8)
     every = 50 if name == "canonical-pca24" else 10  # an answer of its is 24 passes
     # The steerable CNN is published with a rate of 0.1.
@@ -220,7 +209,6 @@ def largest_change(
 ) -> float:
     """The largest difference a change of the clouds makes, relative to the largest logit, to a
     ``share`` of the clouds."""
-    points = points[:1] if heavy(name) else points
     before = logits(settled(name), points)
     scale = max(1.0, float(before.abs().max()))
     differences = [logits(settled(name), change(points)) - before for _ in range(trials)]
@@ -228,7 +216,7 @@ def largest_change(
     return float(largest.quantile(share, interpolation="higher"))
 
 
-@every_model_heavy_slow
+@every_model
 def test_claimed_permutation_invariance_holds(name: str) -> None:
     if "permutation" not in CARDS[name].invariances:
         pytest.skip(f"{name} does not claim permutation invariance")
@@ -237,7 +225,7 @@ def test_claimed_permutation_invariance_holds(name: str) -> None:
     def permute(points: Tensor) -> Tensor:
         return points[:, torch.from_numpy(rng.permutation(points.shape[1]))]
 
-    assert largest_change(name, clouds(), permute, trials=1 if heavy(name) else 3) <= 1e-4
+    assert largest_change(name, clouds(), permute, trials=2) <= 1e-4
 
 
 @every_model
@@ -254,15 +242,14 @@ def test_rotation_invariance_is_as_claimed(name: str) -> None:
         return (points.double() @ R.mT).float()
 
     centred = (clouds().double() - clouds().double().mean(dim=1, keepdim=True)).float()
-    trials, share = 1 if heavy(name) else 4, NEAR_TIES.get(name, 1.0)
-    change = largest_change(name, centred, turn, trials, share)
+    change = largest_change(name, centred, turn, 2, NEAR_TIES.get(name, 1.0))
     if "rotation" in CARDS[name].invariances:
         assert change <= DRIFT.get(name, 1e-4)
     else:
         assert change > 1e-3, f"{name} claims no rotation invariance but shows it: {change:.1e}"
 
 
-@every_model_heavy_slow
+@every_model
 def test_runs_in_bfloat16_autocast(name: str) -> None:
     model, points = settled(name), clouds()[:2]
     with torch.no_grad():
@@ -281,7 +268,9 @@ def test_runs_in_bfloat16_autocast(name: str) -> None:
     out.class_logits.float().logsumexp(dim=-1).sum().backward()
 
 
-@pytest.mark.parametrize("name", ["pointnet", "dgcnn", "papnet-steered"])
+@pytest.mark.parametrize(
+    "name", ["pointnet", "dgcnn", pytest.param("papnet-steered", marks=pytest.mark.slow)]
+)
 def test_can_be_traced_by_torch_compile(name: str) -> None:
     """The traced graphs, run without a code generator, give the same answers."""
     torch.compiler.reset()
@@ -297,7 +286,7 @@ def test_state_survives_save_and_load(name: str) -> None:
     torch.save(settled(name).state_dict(), file)
     file.seek(0)
     torch.manual_seed(1)
-    other = make(name)
+    other = make(name, **SMALL.get(name, {}))
     state: dict[str, Any] = torch.load(file, weights_only=True)
     other.load_state_dict(state)
     points = clouds()[:2]

@@ -18,7 +18,7 @@ from partialbench.errors import InputError
 from partialbench.geometry.rotations import geodesic_angle
 from partialbench.geometry.symmetry import map_rotations
 from tests.benchmark.memory_clouds import MemoryClouds
-from tests.benchmark.tiny_models import MODELS, SMALL
+from tests.benchmark.tiny_models import MODELS, SMALL, STEERED
 
 ROWS = np.arange(24)
 
@@ -158,9 +158,8 @@ def test_a_class_whose_objects_differ_in_symmetry_has_none_to_be_told_under():
 
 
 def test_a_record_for_each_pose_beside_the_models_own(data, tmp_path):
-    options = {"channels": 8, "width": 8, "poses": 60}
     done = run_eval(
-        "papnet-steered", data, results_folder=tmp_path, options=options,
+        "papnet-steered", data, results_folder=tmp_path, options=STEERED,
         test_poses=["0", 15, "class:0", "random", "15"], test_points=[32], **SMALL,
     )  # fmt: skip
     assert [r.conditions for r in done] == [
@@ -180,13 +179,11 @@ def test_a_record_for_each_pose_beside_the_models_own(data, tmp_path):
 
 
 def test_the_command_tells_trained_weights_a_pose(data, tmp_path):
-    options = {"grid": 16, "variant": "predicted"}
-    small = {**SMALL, "max_train_clouds": 16, "max_test_clouds": 8}
-    run_eval("papnet", data, results_folder=tmp_path, options=options, **small)
+    run_eval("papnet-steered", data, results_folder=tmp_path, options=STEERED, **SMALL)
     (weights,) = (tmp_path / "runs").glob("*/branch-*/checkpoint.pt")
     ran = CliRunner().invoke(
         app,
-        ["eval", "--model", "papnet", "--checkpoint", str(weights), "--data", str(data),
+        ["eval", "--model", "papnet-steered", "--checkpoint", str(weights), "--data", str(data),
          "--device", "cpu", "--results", str(tmp_path / "told"), "--test-pose", "0"],
     )  # fmt: skip
     assert ran.exit_code == 0, ran.output

@@ -27,7 +27,7 @@ from partialbench.cli import app
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import ConfigurationMismatchError, InputError
 from tests.benchmark.memory_clouds import MemoryClouds, data_folder
-from tests.benchmark.tiny_models import MODELS, SMALL, Bare
+from tests.benchmark.tiny_models import MODELS, SMALL, STEERED, Bare
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -188,26 +188,26 @@ def test_options_that_weights_do_not_depend_on_can_be_changed_for_a_test(data, t
     }
     alike, other = (
         run_eval(
-            "papnet", options={"grid": 16, "variant": variant}, results_folder=tmp_path / variant,
-            **trained,
+            "papnet-steered", options={**STEERED, "votes": votes},
+            results_folder=tmp_path / str(votes), **trained,
         )[0]
-        for variant in ("predicted", "predicted-ensemble")
+        for votes in (1, 2)
     )  # fmt: skip
-    (weights,) = (tmp_path / "predicted" / "runs").glob("*/branch-*/checkpoint.pt")
+    (weights,) = (tmp_path / "1" / "runs").glob("*/branch-*/checkpoint.pt")
 
     def with_options(**options):
         return run_eval(
-            "papnet", data, checkpoint_file=weights, device="cpu", options=options,
+            "papnet-steered", data, checkpoint_file=weights, device="cpu", options=options,
             results_folder=tmp_path / "changed",
         )[0]  # fmt: skip
 
-    changed = with_options(variant="predicted-ensemble")
+    changed = with_options(votes=2)
     assert changed.row == other.row != alike.row
     assert changed.options == other.options
     assert changed.identity == other.identity
     assert changed.predictions_sha256 == other.predictions_sha256 != alike.predictions_sha256
     with pytest.raises(InputError, match="weights do not fit"):
-        with_options(variant="cascaded")
+        with_options(scales=2)
 
 
 def test_resuming_a_finished_evaluation_changes_no_prediction(done, data, other):

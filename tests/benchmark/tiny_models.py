@@ -11,6 +11,9 @@ from torch.nn.functional import cross_entropy
 from partialbench.benchmark.prediction import Prediction
 
 MODELS = __name__
+STEERED = {"channels": 8, "width": 8, "poses": 60}
+"""Options that make papnet-steered small."""
+
 SMALL = {
     "preset": "smoke", "device": "cpu", "num_points": 64, "clouds": [64], "max_train_clouds": 200,
     "max_test_clouds": 200,
