@@ -169,6 +169,30 @@ def test_a_diverged_training_is_recorded_and_the_rest_goes_on(
     assert not (campaign.results / FAILURES).exists()
 
 
+def test_a_job_whose_process_is_killed_is_begun_again_once(campaign, monkeypatch):
+    begun = []
+
+    def run_here(order, stop):
+        job = from_dict(order["job"])
+        begun.append((job.model, job.clouds, job.kind))
+        if begun[-1] == (f"{MODELS}:Posed", 64, "train") or len(begun) == 1:
+            command = "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"
+            with monkeypatch.context() as patched:
+                patched.setattr(worker, "_COMMAND", ["-c", command])
+                return run_in_process(order, stop)
+        return worker.outcome_of(job, order, Path(stop))
+
+    run_in_process = worker.run_in_process
+    monkeypatch.setattr(running, "run_in_process", run_here)
+    after = running.run(campaign, jobs=1)
+    assert begun[0] == begun[1], "a training goes on from what was saved"
+    assert begun.count((f"{MODELS}:Posed", 64, "train")) == 2, "and is not tried for ever"
+    (failed,) = after.failed
+    assert failed.clouds == 64
+    (line,) = (campaign.results / FAILURES).read_text().splitlines()
+    assert "was killed by SIGKILL without a word" in json.loads(line)["reason"]
+
+
 def test_failures_that_are_left_out_keep_their_record(campaign, in_this_process, monkeypatch):
     train = worker._work
 

@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -28,6 +28,7 @@ from partialbench.benchmark.campaign.worker import (
     DIVERGED,
     DONE,
     FAILED,
+    KILLED,
     STOPPED,
     run_in_process,
 )
@@ -84,7 +85,7 @@ def run(
             be rendered or are not what the file declares.
     """
     _check_options(campaign)
-    last = None if up_to is None else milestones.parse(up_to)
+    choice = _Choice(only, None if up_to is None else milestones.parse(up_to), trials)
     campaign.results.mkdir(parents=True, exist_ok=True)
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
     with sole_user(campaign.work, "working on", "give it a folder of its own"):
@@ -93,12 +94,12 @@ def run(
             failures = campaign.results / FAILURES
             tried = {
                 key for job in job_files.all_jobs(campaign)
-                if _matches(job, only) is not None
+                if choice.rank(job) is not None
                 for key in (job_files.failure_key(job), job_files.training_key(job))
             }  # fmt: skip
             kept = [f for f in job_files.read_failures(failures) if f["job"] not in tried]
             job_files.write_failures(failures, kept)
-        runner = _Runner(campaign, device, only, last, trials, deadline, say)
+        runner = _Runner(campaign, choice, device, deadline, say)
         try:
             with _executor(scheduler, jobs, device) as (executor, width):
                 runner.render(width, scheduler)
@@ -142,26 +143,40 @@ def _check_options(campaign: Campaign) -> None:
                 )
 
 
-def _matches(job: Job, only: Sequence[str]) -> int | None:
-    """The number of the first pattern that a job fits, 0 where there are none, or None."""
-    name = f"{job.model}@{job.data}"
-    patterns = [each if "@" in each else f"{each}@*" for each in only] or ["*"]
-    return next((i for i, pattern in enumerate(patterns) if fnmatchcase(name, pattern)), None)
+@dataclass(frozen=True)
+class _Choice:
+    """Which jobs a run of a campaign does: see ``run``."""
+
+    only: Sequence[str]
+    last: int | None
+    trials: bool
+
+    def rank(self, job: Job) -> int | None:
+        """The number of the first pattern that a job fits, 0 where there are none, or None."""
+        name = f"{job.model}@{job.data}"
+        patterns = [each if "@" in each else f"{each}@*" for each in self.only] or ["*"]
+        return next((i for i, pattern in enumerate(patterns) if fnmatchcase(name, pattern)), None)
+
+    def has(self, job: Job) -> bool:
+        """Whether the job is done by this run."""
+        too_long = self.last is not None and job.clouds > self.last
+        left_out = job.kind == "tune" and not self.trials
+        return not too_long and not left_out and self.rank(job) is not None
 
 
 class _Runner:
     """One run of a campaign: what is running, and where it is told to stop."""
 
     def __init__(
-        self, campaign: Campaign, device: str, only: Sequence[str], last: int | None,
-        trials: bool, deadline: float | None, say: Callable[[str], None],
+        self, campaign: Campaign, choice: _Choice, device: str, deadline: float | None,
+        say: Callable[[str], None],
     ) -> None:  # fmt: skip
-        self.campaign, self.device = campaign, device
-        self.only, self.last, self.trials = only, last, trials
+        self.campaign, self.choice, self.device = campaign, choice, device
         self.deadline, self.say = deadline, say
         self.stop = campaign.work / f"stop-{os.getpid()}"
         self.running: dict[Future, Job] = {}
         self.unrendered: dict[str, str] = {}
+        self.killed: set[str] = set()
 
     def ledger(self) -> Ledger:
         """What is done now, of what can be; a grid that cannot be made holds up no training."""
@@ -169,13 +184,7 @@ class _Runner:
 
     def wanted(self, job: Job) -> bool:
         needed = {job.data, *(test.data for test in job.tests if not test.cell)}
-        if not needed.isdisjoint(self.unrendered):
-            return False
-        if self.last is not None and job.clouds > self.last:
-            return False
-        if job.kind == "tune" and not self.trials:
-            return False
-        return _matches(job, self.only) is not None
+        return needed.isdisjoint(self.unrendered) and self.choice.has(job)
 
     def render(self, workers: int, scheduler: str | None) -> None:
         """Makes the data sets that some missing job needs, one after the other."""
@@ -227,7 +236,7 @@ class _Runner:
         busy = {job.training for job in self.running.values()}
         chosen: list[Job] = []
         wanted = [job for job in state.missing if self.wanted(job)]
-        for job in sorted(wanted, key=lambda job: (job.clouds, _matches(job, self.only) or 0)):
+        for job in sorted(wanted, key=lambda job: (job.clouds, self.choice.rank(job) or 0)):
             if len(self.running) + len(chosen) >= width:
                 break
             if job.training not in busy and job not in self.running.values():
@@ -280,9 +289,14 @@ class _Runner:
             raise PartialbenchError(
                 f"{job.title}: {answer['reason']} ({os.strerror(errno.ENOSPC)})"
             )
-        self.say(f"failed: {job.title}: {answer['reason']}")
         diverged = answer.get("kind") == DIVERGED
         key = job_files.training_key(job) if diverged else job_files.failure_key(job)
+        if answer.get("kind") == KILLED and key not in self.killed:
+            # By a person, or for the memory of another program: no fault of the job's, once.
+            self.killed.add(key)
+            self.say(f"once more, from its saved state: {job.title}: {answer['reason']}")
+            return False
+        self.say(f"failed: {job.title}: {answer['reason']}")
         path = self.campaign.results / FAILURES
         failures = [f for f in job_files.read_failures(path) if f["job"] != key]
         failures.append({"job": key, "title": job.title, "reason": answer["reason"]})

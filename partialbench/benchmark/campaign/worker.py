@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,7 +21,10 @@ from partialbench.benchmark.campaign.jobs import Job, from_dict
 from partialbench.errors import PartialbenchError, TimeLimitError
 
 DONE, FAILED, STOPPED = "done", "failed", "stopped"
-DIVERGED = "diverged"
+# -P: a user's random.py in the current folder is not everyone's.
+_COMMAND = ["-P", "-m", __name__]
+DIVERGED, KILLED = "diverged", "killed"
+"""Kinds of failure that are told apart from others."""
 
 
 def run_in_process(order: dict[str, Any], stop: str) -> dict[str, Any]:
@@ -36,8 +40,7 @@ def run_in_process(order: dict[str, Any], stop: str) -> dict[str, Any]:
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "ab") as stderr:
         process = subprocess.Popen(
-            # -P: a user's random.py in the current folder is not everyone's.
-            [sys.executable, "-P", "-m", __name__],
+            [sys.executable, *_COMMAND],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=stderr, env=environment,
             start_new_session=True,  # Ctrl-C reaches the campaign, which asks by the file
         )  # fmt: skip
@@ -46,11 +49,21 @@ def run_in_process(order: dict[str, Any], stop: str) -> dict[str, Any]:
     try:
         return json.loads(lines[-1])
     except (IndexError, json.JSONDecodeError):
+        status = process.returncode
+        how = f"was killed by {_signal_name(-status)}" if status < 0 else f"ended with {status}"
         return {
             "outcome": FAILED,
-            "reason": f"its process ended with status {process.returncode} and no word, perhaps "
-            f"for want of memory; {log} has what it said",
+            "reason": f"its process {how} without a word, perhaps for want of memory; {log} has "
+            f"what it said",
+            **({"kind": KILLED} if status < 0 else {}),
         }
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
 
 
 def main() -> None:
