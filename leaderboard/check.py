@@ -35,6 +35,8 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
     wrong: list[str] = []
     found: Found = {}
     named: set[str] = set()
+    # Before the records: while tests are going on, a file's record comes right after it.
+    predictions = sorted(folder.glob(f"*{PREDICTIONS_SUFFIX}"))
     for path in sorted(folder.glob(f"*{SUFFIX}")):
         # Where it cannot be read, its predictions are not to be called orphans because of that.
         named.add(path.name.removesuffix(SUFFIX) + PREDICTIONS_SUFFIX)
@@ -60,9 +62,7 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
     wrong += [*_same_runs(found), *_unlike_seeds(found), *_weights(found), *_unlike_data(found)]
     wrong += _truths(folder, found)
     wrong += [
-        f"{path} belongs to no record; delete it"
-        for path in sorted(folder.glob(f"*{PREDICTIONS_SUFFIX}"))
-        if path.name not in named
+        f"{path} belongs to no record; delete it" for path in predictions if path.name not in named
     ]
     try:
         read_trials(folder / FILE)
