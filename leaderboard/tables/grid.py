@@ -64,6 +64,11 @@ class Grid:
     seeds: int
     right: dict[Cell, dict[Key, float]]
 
+    @property
+    def training(self) -> str:
+        """What was trained on, and for how many clouds: "pm40-parametric, 25k"."""
+        return f"{self.result.train_data.id}, {milestones.name(self.result.clouds)}"
+
     def accuracy(self, cell: Cell) -> float | None:
         """Over the cell's own clouds; None where it was not tested."""
         found = self.right.get(cell)
@@ -96,7 +101,7 @@ class Grid:
 
 
 def find_grids(records: Iterable[Result], folder: Path) -> list[Grid]:
-    """Every row that was tested on a grid, best in ``BASE`` first.
+    """Every row that was tested on a grid, the longest training first, then the best in ``BASE``.
 
     Raises:
         InputError: a row was tested on two grids: one cell with two test sets.
@@ -122,7 +127,7 @@ def find_grids(records: Iterable[Result], folder: Path) -> list[Grid]:
                 for cell, each in cells.items()
             }
             grids.append(Grid(first, len(seeds), right))
-    return sorted(grids, key=lambda g: (-(g.accuracy(BASE) or 0), g.result.row))
+    return sorted(grids, key=lambda g: (-g.result.clouds, -(g.accuracy(BASE) or 0), g.result.row))
 
 
 def _by_cloud(seeds: list[Result], folder: Path) -> dict[Key, float]:
@@ -183,7 +188,7 @@ def _multiple(grid: Grid) -> Layout:
         shares = [grid.accuracy(replace(kind, rotation=r)) for r in rotations]
         rows.append([_title(kind), *("–" if s is None else percent(s, None) for s in shares)])
     return Layout(
-        f"Over the grid: {row_title(grid.result)}, {grid.result.train_data.id}",
+        f"Over the grid: {row_title(grid.result)}, {grid.training}",
         "Accuracy (%) of the same weights on the same objects; columns: the rotation from the "
         "object to the cloud.",
         ["clouds", *rotations],
@@ -203,15 +208,14 @@ def _costs(grids: list[Grid]) -> Layout:
     rows = []
     for grid in grids:
         lost = [grid.lost(step) for step in steps.values()]
-        rows.append(
-            [row_title(grid.result), *("–" if each is None else difference(each) for each in lost)]
-        )
+        costs = ["–" if each is None else difference(each) for each in lost]
+        rows.append([row_title(grid.result), grid.training, *costs])
     return Layout(
         "What each axis of the grid costs",
         "Accuracy (%) lost by one step, over the clouds of both cells, with the 95 % interval over "
         "objects: to a wider rotation; from complete clouds to one view; from there, in any "
         "rotation, to a sensor; to occluders.",
-        ["model", *(f"{axis}: {value}" for axis, value in steps)],
+        ["model", "trained on", *(f"{axis}: {value}" for axis, value in steps)],
         rows,
     )
 
@@ -233,7 +237,7 @@ def _interactions(grids: list[Grid]) -> Layout | None:
             found = grid.interaction(one, other)
             if found and (found[1] > 0 or found[2] < 0):
                 pair = f"{one.axis} {one.value} × {other.axis} {other.value}"
-                rows.append([row_title(grid.result), pair, difference(found)])
+                rows.append([row_title(grid.result), grid.training, pair, difference(found)])
     if not rows:
         return None
     return Layout(
@@ -241,6 +245,6 @@ def _interactions(grids: list[Grid]) -> Layout | None:
         "What two steps cost together beyond the sum of what each costs, in points of accuracy, "
         "where the 95 % interval over objects leaves out 0: above 0 they make each other worse. "
         "Not corrected for the number of pairs.",
-        ["model", "steps", "beyond the sum"],
+        ["model", "trained on", "steps", "beyond the sum"],
         rows,
     )
