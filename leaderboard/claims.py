@@ -52,7 +52,7 @@ CLAIMS = (
           "The twin also reads less: what no turn changes of the descriptor."),
     Claim("The paper's PAPNet, on small volumes, beats the Spherical CNN.",
           "papnet [grid=16]", "spherical-cnn",
-          "The paper's strongest baseline is the Steerable CNN, which has no row yet."),
+          "The strongest baseline of the paper is the Steerable CNN."),
     Claim("Rotation-invariant inputs beat coordinates turned at random.",
           "rri-pointnet2", "pointnet2-ssg"),
     Claim("A learned turn without pose labels helps (T-Net).", "tnet-pointnet2", "pointnet2-ssg"),

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from leaderboard.board import budget_title
 from leaderboard.comparison import counted
 from leaderboard.tables.layouts import Layout
 from leaderboard.words import difference, percent, row_title
@@ -66,8 +67,9 @@ class Grid:
 
     @property
     def training(self) -> str:
-        """What was trained on, and for how many clouds: "pm40-parametric, 25k"."""
-        return f"{self.result.train_data.id}, {milestones.name(self.result.clouds)}"
+        """As a column's title has it: "pm40-parametric, partial, board, 25k clouds"."""
+        train = self.result.train_data
+        return f"{train.id}, {train.setting}, {budget_title(self.result)}"
 
     def accuracy(self, cell: Cell) -> float | None:
         """Over the cell's own clouds; None where it was not tested."""

@@ -109,7 +109,7 @@ def _values(content: Mapping[str, Any], axis: str, where: str) -> list[Any]:
                 registry.load(registry.MAKE_SENSOR)(value)
             elif axis == "occluders":
                 require_share(float(value))
-                if float(Cell(occluders=float(value)).name.rpartition("_")[2]) != value:
+                if parse(Cell(occluders=float(value)).name).occluders != value:
                     raise InputError(
                         f"a share of occluders is named by six digits at most, got {value!r}"
                     )

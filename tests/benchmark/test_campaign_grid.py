@@ -185,12 +185,10 @@ def test_a_grid_s_folder_is_all_its_cells_and_a_cell_s_is_one(board):
 def test_damages_and_numbers_of_points_are_of_the_data_that_asked_for_them(board, in_this_process):
     other = board.parent / "work" / "data" / "rooms"
     data_folder(other, "toy-rooms", ("table", "chair"), points=256, seed=5)
-    more = '[data.rooms]\nrender = "pm40 --counts 1,1"\n\n[[train]]\n'
-    entry = f'models = "{MODELS}:Bare"\ndata = "toy"\nclouds = 32\ntest = "rooms"\npoints = [32]\n'
-    damaged = "\n[[train]]\n" + entry.replace(
-        'test = "rooms"\npoints = [32]', 'damages = "scale:1"'
-    )
-    board.write_text(TEXT + "\n" + more + entry + damaged)
+    rooms = '[data.rooms]\nrender = "pm40 --counts 1,1"\n'
+    entry = f'[[train]]\nmodels = "{MODELS}:Bare"\ndata = "toy"\nclouds = 32\n'
+    crossed, damaged = 'test = "rooms"\npoints = [32]\n', 'damages = "scale:1"\n'
+    board.write_text("\n".join((TEXT, rooms, entry + crossed, entry + damaged)))
     campaign = load(board)
     assert running.run(campaign, jobs=1).missing == []
     found = {

@@ -82,7 +82,7 @@ def test_two_grids_under_one_name_are_refused(tmp_path):
 def test_tables(folder):
     costs, interactions, multiple = grid_layouts(find_grids(results.read_folder(folder), folder))
     assert costs.head[1:3] == ["trained on", "rotation: z, complete"]
-    assert costs.rows[0][:2] == ["ONE", "pm40-parametric, 100k"]
+    assert costs.rows[0][:2] == ["ONE", "pm40-parametric, partial, board, 100k clouds"]
     assert any("sensor tof × occluders 0.5" in row for row in interactions.rows)
     assert multiple.head == ["clouds", "none", "z", "so3"]
     assert [row[0] for row in multiple.rows] == [
@@ -97,7 +97,8 @@ def test_a_longer_training_is_a_row_of_its_own_and_comes_first(tmp_path):
     for milestone, share in ((25_000, 0.9), (50_000, 0.6)):
         add(tmp_path, "one", share, grid=BASE.name, milestone=milestone)
     grids = find_grids(results.read_folder(tmp_path), tmp_path)
-    assert [grid.training for grid in grids] == ["pm40-parametric, 50k", "pm40-parametric, 25k"]
+    trained = "pm40-parametric, partial, board"
+    assert [grid.training for grid in grids] == [f"{trained}, 50k clouds", f"{trained}, 25k clouds"]
     titles = [layout.title for layout in grid_layouts(grids)[1:]]
     assert titles == [f"Over the grid: ONE, {grid.training}" for grid in grids]
 
