@@ -25,6 +25,8 @@ from partialbench.geometry.rotations import haar_rotations
 CARDS = registry.cards()
 CLASSES = 40
 NUM_POINTS = 600
+FEW_POINTS = 320
+"""What asks nothing of a neighbourhood's exact limits needs no more."""
 
 
 SMALL = {"papnet": {"grid": 16}, "steerable-cnn": {"grid": 8}}
@@ -45,6 +47,11 @@ def clouds(count: int = 8) -> Tensor:
         shape[:, i % 3] = np.abs(shape[:, i % 3])
         shapes.append(shape @ haar_rotations(rng, 1)[0].T + rng.uniform((-2, -2, 2), (2, 2, 5)))
     return torch.from_numpy(np.stack(shapes)).float()
+
+
+def few(count: int = 8) -> Tensor:
+    """The first of the clouds, of fewer points each."""
+    return clouds()[:count, :FEW_POINTS]
 
 
 def add_normals(model: nn.Module, inputs: tuple[Tensor], given: dict[str, Any]) -> Any:
@@ -80,7 +87,7 @@ def settled(name: str) -> nn.Module:
             if isinstance(getattr(module, "momentum", None), float):  # any batch normalisation
                 # The running statistics become those of one batch.
                 cast(Any, module).momentum = 1.0
-        model.train()(clouds())
+        model.train()(few())
     return model.eval()
 
 
@@ -101,14 +108,14 @@ def test_a_model_says_as_its_card_does_what_it_takes(name: str) -> None:
     assert needs_normals(model) == ("normals" in CARDS[name].inputs)
     if needs_normals(model):
         with pytest.raises(InputError, match="call it with normals="):
-            model(clouds()[:2])
+            model(few(2))
 
 
 @every_model
 def test_shapes(name: str) -> None:
     """As published; of the voxel models once, which takes seconds."""
     for classes in (15,) if name in SMALL else (2, 15):
-        out = fresh(name, classes).eval()(clouds()[:2])
+        out = fresh(name, classes).eval()(few(2))
         assert isinstance(out, Prediction)
         assert out.class_logits.shape == (2, classes)
         assert out.class_logits.isfinite().all()
@@ -118,7 +125,7 @@ def test_shapes(name: str) -> None:
 
 @every_model
 def test_evaluation_is_deterministic_and_takes_one_cloud(name: str) -> None:
-    model, points = settled(name), clouds()[:3]
+    model, points = settled(name), few(3)
     whole = logits(model, points)
     assert torch.equal(whole, logits(model, points))
     scale = float(whole.abs().max())
@@ -137,7 +144,7 @@ def test_other_numbers_of_points_are_taken(name: str) -> None:
 
 @every_model
 def test_logits_depend_on_the_cloud(name: str) -> None:
-    out = logits(settled(name), clouds()[:3])
+    out = logits(settled(name), few(3))
     assert (out[0] - out[1]).abs().max() > 1e-3 * out.abs().max()
 
 
@@ -146,7 +153,7 @@ def test_a_gradient_reaches_every_parameter(name: str) -> None:
     """After one noisy step away from layers that start at zero. A bias that a following batch norm
     cancels has a gradient of rounding only, so biases need merely be reached."""
     model = copy.deepcopy(settled(name)).train()
-    out = model(clouds()[:4])
+    out = model(few(4))
     weights = torch.randn(out.class_logits.shape, generator=torch.Generator().manual_seed(1))
     loss = (out.class_logits * weights).sum()
     if out.pose_logits is not None:
@@ -251,7 +258,7 @@ def test_rotation_invariance_is_as_claimed(name: str) -> None:
 
 @every_model
 def test_runs_in_bfloat16_autocast(name: str) -> None:
-    model, points = settled(name), clouds()[:2]
+    model, points = settled(name), few(2)
     with torch.no_grad():
         full = model(points)
         with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -289,5 +296,5 @@ def test_state_survives_save_and_load(name: str) -> None:
     other = make(name, **SMALL.get(name, {}))
     state: dict[str, Any] = torch.load(file, weights_only=True)
     other.load_state_dict(state)
-    points = clouds()[:2]
+    points = few(2)
     assert torch.equal(logits(other.eval(), points), logits(settled(name), points))
