@@ -47,7 +47,7 @@ def test_volumes_have_the_published_edges() -> None:
 def test_a_model_trains_after_another_was_evaluated() -> None:
     """What the first keeps for later volumes is no inference tensor, which autograd refuses."""
     spectral._stages.cache_clear()
-    points, label = torch.randn(32, 50, 3), torch.arange(32) % 4
+    points, label = torch.randn(16, 50, 3), torch.arange(16) % 4
     evaluated, model = SteerableCNN(4, grid=8).eval(), SteerableCNN(4, grid=8).train()
     with torch.inference_mode():
         evaluated(points)

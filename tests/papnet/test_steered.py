@@ -231,7 +231,7 @@ def test_pose_and_class_are_learned_together() -> None:
     R = turns(8, seed=6).float()
     points, label = clouds().float().repeat(2, 1, 1) @ R.mT, torch.arange(4).repeat(2)
     optimizer = torch.optim.Adam(model.parameters(), lr=3e-3)
-    for _ in range(120):
+    for _ in range(80):
         optimizer.zero_grad()
         model.train().training_loss(Batch(points, label, R, R)).backward()
         optimizer.step()
