@@ -94,7 +94,9 @@ def accumulator(weight: Tensor) -> Tensor:
 
 def accumulate(total: Tensor, a: Tensor, b: Tensor) -> None:
     """Adds a·b to an ``accumulator``."""
-    if a.dtype == total.dtype:
+    if b.shape[1] < len(a):
+        total += (b.T @ a.T).T  # see ``_FewInputsLinear``
+    elif a.dtype == total.dtype:
         total.addmm_(a, b)
     else:
         total += a @ b
@@ -149,6 +151,27 @@ def autocast(*tensors: Tensor) -> tuple[Tensor, ...]:
     return tuple(t.to(autocast_dtype(t)) for t in tensors)
 
 
+class _FewInputsLinear(torch.autograd.Function):
+    """``F.linear`` of rows (R,C_in), whose weight's gradient is (xᵀ·d_y)ᵀ instead of d_yᵀ·x.
+
+    The same sums; but a product of many rows that leaves few columns runs, on a CPU, at a tenth of
+    the speed of one that leaves few rows.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        ctx.has_bias = bias is not None
+        return F.linear(x, weight, bias)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, d_y: Tensor) -> tuple[Tensor | None, Tensor, Tensor | None]:
+        x, weight = ctx.saved_tensors
+        d_x = d_y @ weight if ctx.needs_input_grad[0] else None
+        return d_x, (x.T @ d_y).T, d_y.sum(0) if ctx.has_bias else None
+
+
 def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
     """``F.linear``, but few inputs are multiplied in full precision whatever autocast says.
 
@@ -158,8 +181,8 @@ def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
     if x.shape[-1] > FEW_INPUTS:
         return F.linear(x, weight, bias)
     with torch.autocast(x.device.type, enabled=False):
-        y = F.linear(x.to(weight.dtype), weight, bias)
-    return autocast(y)[0]
+        y = _FewInputsLinear.apply(x.reshape(-1, x.shape[-1]).to(weight.dtype), weight, bias)
+    return autocast(y)[0].view(*x.shape[:-1], -1)
 
 
 def linear_max(x: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
