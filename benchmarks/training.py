@@ -180,12 +180,14 @@ def main() -> None:
             sys.stdout.flush()
         for trainer in (trainers | new).values():
             trainer.close()
+    also = ["--also", *arguments.also] if arguments.also else []
     page = (
         f"# What a training cloud costs\n\nCPU milliseconds a cloud on one core ({processor()}, "
         f"torch {torch.__version__}): batches of {BATCH} clouds of 256 points, as the `board` "
         f"preset trains.\nOld code and new code took their steps in turns in one sitting; each "
         f"figure is a median of {arguments.turns}. Made by\n`python -m benchmarks.training "
-        f"--base {' '.join(arguments.base)} …`.\n\n" + table(rows, arguments.base, list(new))
+        f"{' '.join(['--base', *arguments.base, *also, '--turns', str(arguments.turns)])} "
+        f"--data DIR`.\n\n" + table(rows, arguments.base, list(new))
     )
     sys.stdout.write("\n" + page)
     if arguments.out:

@@ -83,7 +83,7 @@ def leaderboard(
 
         board = partialbench.leaderboard("results")
         board.to_pandas().sort_values("accuracy")
-        board.save("board")                             # tables, figures, one-file page
+        board.save("board")                             # tables and the one-file page
     """
     if not isinstance(results, str | Path):
         raise InputError(

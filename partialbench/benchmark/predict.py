@@ -94,7 +94,9 @@ def _best(shares: NDArray[np.float64]) -> NDArray[np.int64]:
 def load_model(
     weights: Path | str = packaged.DEFAULT, device: str = "auto", model: str | None = None
 ) -> Classifier:
-    """A trained model, to be asked about clouds and files: see ``Classifier``.
+    """A trained model, to be asked about clouds and files.
+
+    Args, errors: see ``Classifier``; of a folder with several trainings give that of one.
 
     ::
 

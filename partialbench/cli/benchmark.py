@@ -84,7 +84,7 @@ def models(as_json: Json = False) -> None:
     "`partialbench eval --model pointnet --data data/pm40 --clouds 400k` (goes on from the 100k) · "
     "`partialbench eval --model my_model:make --data data/pm40 --preset smoke` · "
     "`partialbench eval --model pointnet --data data/mine --start-from "
-    "results/runs/…/checkpoint.pt --recipe lr=0.001`",
+    "results/runs/…/checkpoint.pt --recipe lr=0.0003`",
 )
 def evaluate(
     model: Annotated[

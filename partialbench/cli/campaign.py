@@ -40,7 +40,7 @@ def show_status(
 @campaign.command(
     name="run",
     epilog="Examples: `partialbench campaign run leaderboard/campaign.toml --time-limit 170m` · "
-    "`partialbench campaign run board.toml --only 'papnet*@clouds' --device cuda`",
+    "`partialbench campaign run board.toml --only 'papnet*@pm40-clouds' --device cuda`",
 )
 def run_missing(
     file: File,
@@ -58,8 +58,8 @@ def run_missing(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            help="models by pattern, 'papnet*', or with data set, 'papnet*@clouds' (repeatable; "
-            "what fits an earlier one comes first)",
+            help="models by pattern, 'papnet*', or with data set, 'papnet*@pm40-clouds' "
+            "(repeatable; what fits an earlier one comes first)",
             show_default="all",
         ),
     ] = None,

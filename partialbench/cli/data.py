@@ -125,7 +125,7 @@ def render(
         ),
     ] = None,
     aligned: Annotated[
-        bool, typer.Option(help="the meshes are of the aligned release (recorded in the data)")
+        bool, typer.Option(help="the shapes are of the aligned release (recorded in the data)")
     ] = False,
     up: Annotated[
         str | None,

@@ -53,8 +53,9 @@ def plan_render(
         data_set: "pm40" or "ps15".
         source: a registered name or a path; default: the data set's built-in source.
         source_options: passed to the source (``aligned``, ``up``, ``counts``, …).
-        occluder_options: passed to the occluder (``resolution``, ``variant``, ``radius``, …).
-        setting: of ``settings.SETTINGS``.
+        occluder_options: passed to the occluder (``resolution``, ``keep_depth``, ``variant``,
+            ``radius``, …).
+        setting: "partial", "partial-z", "partial-aligned", "rotated", "z-rotated" or "aligned".
         sensor: depth noise, of the rendered images or, for simulated rooms, of the scanner.
         workers: processes for sources that generate or list in parallel.
         on_room: called with (rooms simulated, rooms in all).
@@ -64,6 +65,9 @@ def plan_render(
         views: viewpoints per training object; test objects get one (PS15: the same number).
         splits: default: all the source has.
         objects_per_class: at most so many of each class in each split.
+        points: stored per cloud.
+        seed: of every random draw.
+        rows_per_shard: rows per file; does not change the content.
 
     Raises:
         InputError: unknown names (with close matches), a path that is no source, or numbers out of

@@ -78,5 +78,6 @@ def as_markdown() -> str:
     for f in FIELDS:
         shape = "(" + ",".join(["M", *map(str, f.shape)]) + ")"
         name = f"`{f.name}`" + (" (optional)" if f.optional else "")
-        lines.append(f"| {name} | {shape} | {f.dtype.str} | {f.frame} | {f.unit} | {f.meaning} |")
+        dtype = f.dtype.str.removeprefix("|")  # "|S8": a bar would end the table's cell
+        lines.append(f"| {name} | {shape} | `{dtype}` | {f.frame} | {f.unit} | {f.meaning} |")
     return "\n".join(lines) + "\n"

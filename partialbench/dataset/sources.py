@@ -55,9 +55,10 @@ class View:
     """What one viewpoint sees of one object.
 
     Attributes:
-        points: (n,3) float32 candidate points, camera frame, n ≥ 1; the builder draws P of them.
+        points: (n,3) float32, camera frame, object units, n ≥ 1: of an occluder all candidates, of
+            which the builder draws P; of ``render_view`` those that were drawn.
         R_camera_object: (3,3) float64.
-        t_camera_object: (3,) float64.
+        t_camera_object: (3,) float64, object units: p_camera = R·p_object + t.
         K: (3,3) float64 pixel intrinsics; zeros where no image was formed (hidden point removal).
         visible_fraction: share of the surface area (or of the object's points) seen, in [0, 1].
         n_visible: number of distinct surface points behind ``points`` before drawing.

@@ -64,8 +64,8 @@ def run(
 
     Args:
         jobs: how many side by side; by default one a core, on CUDA one.
-        only: patterns of model names, "papnet*", or of model and data set, "papnet*@clouds"; all
-            without one. Of one milestone, jobs that fit an earlier pattern are begun first.
+        only: patterns of model names, "papnet*", or of model and data set, "papnet*@pm40-clouds";
+            all without one. Of one milestone, jobs that fit an earlier pattern are begun first.
         up_to: the last milestone that is trained to, as ``milestones.parse`` takes it; by default
             the file's last.
         trials: also those that the file's [[tune]] ask for.
