@@ -108,6 +108,21 @@ def require_no_index(table: NDArray, where: str = "") -> None:
     )
 
 
+def padding(points: NDArray) -> NDArray[np.bool_]:
+    """Which of the points (n,3) are (0, 0, 0) and are none: files are padded with them to a fixed
+    size, sensors write them where they measured nothing.
+
+    Those are two or more, and more than there are of any other point, as zero may be a point too.
+    """
+    zero = (points == 0).all(axis=1)
+    count = int(zero.sum())
+    if 2 <= count < len(points):
+        _, times = np.unique(points[~zero], axis=0, return_counts=True)
+        if count > times.max():
+            return zero
+    return np.zeros(len(points), np.bool_)
+
+
 def unit_normals(points: Points) -> NDArray[np.float64] | None:
     """The cloud's normals, made unit; None where it has none or a point lacks a direction.
 
