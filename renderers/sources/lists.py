@@ -18,6 +18,8 @@ _LIST = re.compile(
     r"(?:[_\-.](?:file|files|list|lists|split|ids?|objects?|models?|names?))*\.(?:txt|lst|json)",
     re.IGNORECASE,
 )
+_SPLITS = re.compile(r"(?:.*[_\-.])?splits?\.json", re.IGNORECASE)
+"""What a file of all splits is called."""
 _HEAD = 4096
 
 
@@ -57,18 +59,20 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
         return
     candidates: dict[tuple[str, str], _Lists] = {}
     for name in files.names():
-        match = _LIST.fullmatch(PurePosixPath(name).name)
-        if match is None or looks_like_points(files.head(name, _HEAD)):
+        base = PurePosixPath(name).name
+        match = _LIST.fullmatch(base)
+        if not (match or _SPLITS.fullmatch(base)) or looks_like_points(files.head(name, _HEAD)):
             continue
-        folder = _folder_of(name, entries)
-        key = str(PurePosixPath(name).parent), (match["set"] or "").casefold()
-        lists = candidates.setdefault(key, _Lists(folder))
+        split, of_set = (match["split"], match["set"] or "") if match else ("", "")
         try:
-            names = _names(name, files.read(name))
+            found = _lists_in(name, split_name(split), files.read(name))
         except ValueError as error:
             layout.left_out.append((name, f"is called as a list is, but cannot be read ({error})"))
             continue
-        _match(lists, name, split_name(match["split"]), names, entries)
+        key = str(PurePosixPath(name).parent), of_set.casefold()
+        for split, names in found:
+            lists = candidates.setdefault(key, _Lists(_folder_of(name, entries)))
+            _match(lists, name, split, names, entries)
     best: dict[str, _Lists] = {}
     for lists in candidates.values():
         if len(lists.split_of) > len(best[lists.folder].split_of if lists.folder in best else ()):
@@ -103,7 +107,8 @@ def _match(lists: _Lists, name: str, split: str, lines: list[str], entries: list
             for key in {path, bare, f"{entry.category}/{own}", own, str(PurePosixPath(bare).name)}:
                 index[key].append(entry)
     categories = {entry.category.casefold() for entry in entries}
-    lists.files.append(name)
+    if name not in lists.files:
+        lists.files.append(name)
     for line in lines:
         found, before = _find(line, index, categories)
         places = {(e.category, e.name) for e in found}
@@ -122,21 +127,28 @@ def _match(lists: _Lists, name: str, split: str, lines: list[str], entries: list
             lists.split_of[entry.location] = split, name
 
 
-def _names(name: str, content: bytes) -> list[str]:
-    """The names in a list: one a line, or JSON: [names] or {class: [names]}.
+def _lists_in(name: str, split: str, content: bytes) -> list[tuple[str, list[str]]]:
+    """The splits in a file and their names: one a line, or JSON.
+
+    JSON is [names] or {class: [names]}, or {split: one of these}. ``split`` is what the file's name
+    says, "" for nothing.
 
     Raises:
         ValueError: the file is broken.
     """
     if name.lower().endswith(".json"):
         data = json.loads(content)
-        if isinstance(data, dict):
-            of_classes = [(k, v) for k, names in data.items() if isinstance(names, list)
-                          for v in names]  # fmt: skip
-            return [f"{k}/{v}" for k, v in of_classes if isinstance(v, str)]
-        return [item for item in data if isinstance(item, str)] if isinstance(data, list) else []
+        if isinstance(data, dict) and data and all(map(split_name, data)):
+            return [(split_name(key), _names(value)) for key, value in data.items()]
+        return [(split, _names(data))] if split else []
     lines = [line.strip() for line in decode(content).splitlines() if not line.startswith("#")]
-    return [bare for line in lines if (bare := line.strip("\"'"))]
+    return [(split, [bare for line in lines if (bare := line.strip("\"'"))])]
+
+
+def _names(data: object) -> list[str]:
+    if isinstance(data, dict):
+        return [f"{key}/{name}" for key, names in data.items() for name in _names(names)]
+    return [item for item in data if isinstance(item, str)] if isinstance(data, list) else []
 
 
 def _find(

@@ -343,6 +343,14 @@ def test_a_list_may_be_in_json_by_class_or_in_quotes(tmp_path: Path) -> None:
     assert splits_of(tmp_path) == ({"train": ["mug/0", "pan/0", "pan/1"], "test": ["mug/1"]}, [])
 
 
+@pytest.mark.parametrize("name", ["splits.json", "train_test_split.json"])
+def test_a_file_may_hold_all_splits(tmp_path: Path, name: str) -> None:
+    write(tmp_path, *FOUR)
+    both = b'{"train": ["mug/0", "pan/0", "pan/1"], "test": {"mug": ["1"]}}'
+    write(tmp_path, name, content=both)
+    assert splits_of(tmp_path) == ({"train": ["mug/0", "pan/0", "pan/1"], "test": ["mug/1"]}, [])
+
+
 def test_a_list_that_gives_no_split_is_told(tmp_path: Path) -> None:
     write(tmp_path, *FOUR)
     write(tmp_path, "train.json", content=b'[{"id": "mug/0"}]')
