@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from partialbench import given
 from partialbench.dataset.cloud_files import FORMATS, read_cloud
+from partialbench.dataset.cloud_formats.points import padding
+from partialbench.dataset.cloud_formats.text import NUMBER
 from partialbench.dataset.ply import is_mesh
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
@@ -107,12 +109,17 @@ def shaped(points: NDArray, path: Path | str) -> NDArray[np.float64]:
     """Points of a shape, moved where they are too far away for 32 bits; each is still another.
 
     Args:
-        points: (n,3), finite.
+        points: (n,3), finite; those that stand for "no measurement" are left out.
         path: what errors call them.
 
     Raises:
         InputError: see ``read_points``.
     """
+    empty = padding(points)
+    if empty.any():
+        log.warning("%s: %d of %d points are (0, 0, 0), as where nothing was measured; they were "
+                    "left out", path, empty.sum(), len(points))  # fmt: skip
+        points = points[~empty]
     if len(points) < MIN_POINTS:
         raise InputError(
             f"{path} has {len(points)} finite points, at least {MIN_POINTS} are needed"
@@ -166,22 +173,27 @@ def _image(content: bytes, path: Path, K: NDArray | None) -> NDArray | None:
                             f"{path} is an image of {what}, not of depths; save the depths "
                             f"themselves, in 16 bits"
                         )
+                    if (pages := getattr(image, "n_frames", 1)) > 1:
+                        raise InputError(f"{path} has {pages} images; expected one, of depths")
                     return np.asarray(image)
         array = np.load(io.BytesIO(content), allow_pickle=False)
     except InputError:
         raise
     except Exception as error:  # each library fails in its own ways
         raise InputError(f"{path} cannot be read: {error}") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+    if not isinstance(array, np.ndarray) or not (array.dtype.names or array.dtype.kind in "fiu"):
         raise InputError(f"{path} holds no array of real numbers")
-    if not _are_points(array, K):
-        return array
-    _say_columns(path, array.shape[1])
+    while array.ndim > 2 and len(array) == 1:
+        array = array[0]
+    if array.dtype.names is None:
+        if not _are_points(array, K):
+            return array
+        _say_columns(path, min(array.shape))
     return None
 
 
 def _are_points(array: NDArray, K: NDArray | None) -> bool:
-    """Whether a 2-D array is of points, a row each, and not a very narrow image.
+    """Whether a 2-D array is of points, a row or a column each, and not a very narrow image.
 
     Further columns of a cloud are intensity, colours or normals. Intrinsics decide where they can
     be such an image's, that is where their principal point lies in it.
@@ -191,7 +203,8 @@ def _are_points(array: NDArray, K: NDArray | None) -> bool:
     rows, columns = array.shape
     if columns == 3:
         return True
-    if not 4 <= columns <= MOST_COLUMNS or rows <= columns:
+    turned = rows in (3, 6) and columns > MOST_COLUMNS
+    if not (turned or (4 <= columns <= MOST_COLUMNS and rows > columns)):
         return False
     if K is None:
         return True
@@ -202,7 +215,8 @@ def _are_points(array: NDArray, K: NDArray | None) -> bool:
 def _columns_of_text(content: bytes) -> int:
     for line in content.decode(errors="replace").splitlines():
         if numbers := line.partition("#")[0].replace(",", " ").split():
-            return len(numbers)
+            # Where a header names the columns, its names say which are x, y, z.
+            return len(numbers) if all(map(NUMBER.fullmatch, numbers)) else 0
     return 0
 
 

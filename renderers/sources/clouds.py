@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.cloud_files import FORMATS, read_oriented
+from partialbench.dataset.cloud_formats.points import padding
 from partialbench.dataset.cloud_formats.text import looks_like_points
 from partialbench.dataset.names import printable
 from partialbench.dataset.sources import ObjectRef, OrientedCloud
@@ -139,13 +140,7 @@ def normalise_cloud(points: NDArray, name: str = "the cloud") -> NDArray[np.floa
 
 
 def _require_no_padding(points: NDArray, name: str) -> None:
-    zero = ~points.any(axis=1)
-    count = int(zero.sum())
-    if count < 2 or count == len(points):
-        return
-    # Where every point is there several times, zero may be one of them.
-    _, times = np.unique(points[~zero], axis=0, return_counts=True)
-    if count > times.max():
+    if count := int(padding(points).sum()):
         raise InputError(
             f"{name}: {count} of {len(points)} points are (0, 0, 0), as files are padded or say "
             f"that nothing was measured; remove them"

@@ -85,8 +85,8 @@ class Archive:
         if not self.path.is_file():
             what = "is a folder, not a file" if self.path.exists() else "does not exist"
             raise InputError(f"{self.path} {what}; expected a zip file of meshes or of clouds")
-        self._opened: tuple[int, zipfile.ZipFile] | None = None
-        self._zip()
+        self._opened: tuple[int, zipfile.ZipFile, dict[str, str]] | None = None
+        self._open()
 
     def __str__(self) -> str:
         return str(self.path)
@@ -96,17 +96,8 @@ class Archive:
 
     def names(self) -> list[str]:
         """As ``Files.names``."""
-        return sorted(name for name in self._members() if not any(map(_hidden, name.split("/"))))
-
-    def _members(self) -> dict[str, str]:
-        """Path with "/" between parts → the member's own name.
-
-        Old .NET libraries write "\\" instead, which zip does not have.
-        """
-        names = [info.filename for info in self._zip().infolist() if not info.is_dir()]
-        if any("/" in name for name in names):
-            return {name: name for name in names}
-        return {name.replace("\\", "/"): name for name in names if not name.endswith("\\")}
+        _, members = self._open()
+        return sorted(name for name in members if not any(map(_hidden, name.split("/"))))
 
     def read(self, name: str) -> bytes:
         """As ``Files.read``."""
@@ -114,8 +105,9 @@ class Archive:
 
     def head(self, name: str, size: int) -> bytes:
         """As ``Files.head``."""
+        archive, members = self._open()
         try:
-            with self._zip().open(self._own_name(name)) as member:
+            with archive.open(members[name]) as member:
                 return member.read(size)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
             raise InputError(f"{self.path}: the member {name} is broken ({error})") from error
@@ -123,19 +115,33 @@ class Archive:
             # An encrypted member, or (NotImplementedError) a compression that this Python lacks.
             raise InputError(f"{self.path}: the member {name} cannot be read ({error})") from error
 
-    def _own_name(self, name: str) -> str:
-        try:
-            return self._zip().getinfo(name).filename
-        except KeyError:
-            return self._members().get(name, name)
-
-    def _zip(self) -> zipfile.ZipFile:
+    def _open(self) -> tuple[zipfile.ZipFile, dict[str, str]]:
+        """This process's handle, and path inside the tree → the member's own name."""
         if self._opened is None or self._opened[0] != os.getpid():
             try:
-                self._opened = os.getpid(), zipfile.ZipFile(self.path)
+                archive = zipfile.ZipFile(self.path)
             except (zipfile.BadZipFile, OSError) as error:
                 raise InputError(f"{self.path} is not a readable zip file ({error})") from error
-        return self._opened[1]
+            self._opened = os.getpid(), archive, _members(archive)
+        return self._opened[1:]
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, str]:
+    """Path with "/" between parts → the member's own name.
+
+    Old .NET libraries write "\\" between them, which zip does not have; others keep what the folder
+    was called when it was packed ("./mug/0.off", "/data//mug/0.off").
+    """
+    names = [info.filename for info in archive.infolist() if not info.is_dir()]
+    if not any("/" in name for name in names):
+        return {name.replace("\\", "/"): name for name in names if not name.endswith("\\")}
+    members = {}
+    for name in names:
+        parts = [part for part in name.split("/") if part not in ("", ".")]
+        while parts[:1] == [".."]:
+            del parts[0]
+        members["/".join(parts)] = name
+    return members
 
 
 def _hidden(part: str) -> bool:

@@ -190,7 +190,17 @@ def _hold_one_object_each(folders: list[tuple[str, ...]], stems: list[str], leve
     ):
         return False
     # Classes of one object each would not call it the same.
-    return max(inside.values()) == 1 and len(set(stems)) == 1
+    if max(inside.values()) == 1 and len(set(stems)) == 1:
+        return True
+    # Nor would classes hold the same files, one of them called as the object of a folder is.
+    files: dict[str, set[str]] = defaultdict(set)
+    for folder, stem in zip(folders, stems, strict=True):
+        if len(folder) > level:
+            files[folder[level]].add("/".join((*folder[level + 1 :], stem)))
+    same = next(iter(files.values()))
+    return all(names == same for names in files.values()) and any(
+        name.rpartition("/")[2].casefold() in MAIN_FILES for name in same
+    )
 
 
 def _name_objects(

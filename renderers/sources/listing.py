@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 from typing import Any
@@ -145,12 +146,28 @@ def _left_out(location: str, reason: str, failed: bool) -> RejectedObject:
     return RejectedObject(name, "", printable(reason), location, failed=failed)
 
 
+def _spelt_otherwise(names: list[str]) -> list[str]:
+    """What there is to say of classes that look like ModelNet40's and are not called so."""
+    theirs = {_letters(name): name for name in MODELNET40}
+    alike = {name: theirs[_letters(name)] for name in names if _letters(name) in theirs}
+    if not (odd := {name: known for name, known in alike.items() if name != known}):
+        return []
+    said = ", ".join(f"{name!r} ({known})" for name, known in list(odd.items())[:_NAMED])
+    more = ", …" if len(odd) > _NAMED else ""
+    return [f"{said}{more} would be ModelNet40's, with its symmetries, were the folders called so"]
+
+
+def _letters(name: str) -> str:
+    """The letters of a class's name, small, without what makes it a plural."""
+    return re.sub(r"[\W_]+", "", name.casefold()).removesuffix("s")
+
+
 def _words(listing: Listing, present: list[str], layout: Layout) -> str:
     train, test = (len(listing.of(split)) for split in SPLITS)
     classes = f"{len(present)} class" + ("es" if len(present) > 1 else "")
     where = printable(layout.root + listing.pattern)
     text = f"{where}: {classes}, {train:,} training, {test:,} test objects"
-    text = "; ".join([text, *map(printable, listing.notes)])
+    text = "; ".join([text, *map(printable, listing.notes), *_spelt_otherwise(present)])
     out = [printable(location) for location, _ in layout.left_out]
     if out:
         more = f" and {len(out) - _NAMED:,} more" if len(out) > _NAMED else ""

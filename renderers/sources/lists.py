@@ -18,6 +18,8 @@ _LIST = re.compile(
     r"(?:[_\-.](?:file|files|list|lists|split|ids?|objects?|models?|names?))*\.(?:txt|lst|json)",
     re.IGNORECASE,
 )
+_SPLITS = re.compile(r"(?:.*[_\-.])?splits?\.json", re.IGNORECASE)
+"""What a file of all splits is called."""
 _HEAD = 4096
 
 
@@ -47,7 +49,7 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
 
     Only objects that lie in no split's folder are looked for. Of several sets in one folder the one
     that names most of them is taken. An object that no list names is left out, as is a name that no
-    file gives.
+    file gives, a list that cannot be read, and one that names no object where no other does.
 
     Raises:
         InputError: an object in two splits, or a name that fits several objects.
@@ -57,18 +59,28 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
         return
     candidates: dict[tuple[str, str], _Lists] = {}
     for name in files.names():
-        match = _LIST.fullmatch(PurePosixPath(name).name)
-        if match is None or looks_like_points(files.head(name, _HEAD)):
+        base = PurePosixPath(name).name
+        match = _LIST.fullmatch(base)
+        if not (match or _SPLITS.fullmatch(base)) or looks_like_points(files.head(name, _HEAD)):
             continue
-        folder = _folder_of(name, entries)
-        key = str(PurePosixPath(name).parent), (match["set"] or "").casefold()
-        lists = candidates.setdefault(key, _Lists(folder))
-        _match(lists, name, split_name(match["split"]), files.read(name), entries)
+        split, of_set = (match["split"], match["set"] or "") if match else ("", "")
+        try:
+            found = _lists_in(name, split_name(split), files.read(name))
+        except ValueError as error:
+            layout.left_out.append((name, f"is called as a list is, but cannot be read ({error})"))
+            continue
+        key = str(PurePosixPath(name).parent), of_set.casefold()
+        for split, names in found:
+            lists = candidates.setdefault(key, _Lists(_folder_of(name, entries)))
+            _match(lists, name, split, names, entries)
     best: dict[str, _Lists] = {}
     for lists in candidates.values():
         if len(lists.split_of) > len(best[lists.folder].split_of if lists.folder in best else ()):
             best[lists.folder] = lists
     if not best:
+        # A split that somebody made is not replaced by ours without a word.
+        reason = "is called as a list of a split is, but names no object that is here"
+        layout.left_out += [(name, reason) for lists in candidates.values() for name in lists.files]
         return
     _use(list(best.values()), layout)
 
@@ -85,7 +97,7 @@ def _folder_of(name: str, entries: list[Entry]) -> str:
     return folder
 
 
-def _match(lists: _Lists, name: str, split: str, content: bytes, entries: list[Entry]) -> None:
+def _match(lists: _Lists, name: str, split: str, lines: list[str], entries: list[Entry]) -> None:
     index: dict[str, list[Entry]] = defaultdict(list)
     for entry in entries:
         if entry.location.startswith(lists.folder):
@@ -94,49 +106,68 @@ def _match(lists: _Lists, name: str, split: str, content: bytes, entries: list[E
             own = entry.name
             for key in {path, bare, f"{entry.category}/{own}", own, str(PurePosixPath(bare).name)}:
                 index[key].append(entry)
-    lists.files.append(name)
-    for line in _names(name, content):
-        found = _find(line, index)
-        if found is None:
-            lists.absent.append((name, line))
-            continue
+    categories = {entry.category.casefold() for entry in entries}
+    if name not in lists.files:
+        lists.files.append(name)
+    for line in lines:
+        found, before = _find(line, index, categories)
         places = {(e.category, e.name) for e in found}
-        if len(places) > 1:
+        if len(places) > 1 and not any(part not in (".", "..") for part in before):
             said = ", ".join(sorted(f"{c}/{n}" for c, n in places)[:3])
             raise InputError(f"{name}: {line!r} may be {said}; write the class before it")
+        if len(places) != 1:  # also where it is of a class that is not here
+            lists.absent.append((name, line))
+            continue
         for entry in found:
-            before, where = lists.split_of.get(entry.location, (split, name))
-            if before != split:
+            earlier, where = lists.split_of.get(entry.location, (split, name))
+            if earlier != split:
                 raise InputError(
-                    f"{name}: {line!r} is in the split {split!r}, but {where} has it in {before!r}"
+                    f"{name}: {line!r} is in the split {split!r}, but {where} has it in {earlier!r}"
                 )
             lists.split_of[entry.location] = split, name
 
 
-def _names(name: str, content: bytes) -> list[str]:
+def _lists_in(name: str, split: str, content: bytes) -> list[tuple[str, list[str]]]:
+    """The splits in a file and their names: one a line, or JSON.
+
+    JSON is [names] or {class: [names]}, or {split: one of these}. ``split`` is what the file's name
+    says, "" for nothing.
+
+    Raises:
+        ValueError: the file is broken.
+    """
     if name.lower().endswith(".json"):
-        try:
-            data = json.loads(content)
-        except ValueError:
-            return []
-        return [item for item in data if isinstance(item, str)] if isinstance(data, list) else []
-    try:
-        lines = decode(content).splitlines()
-    except (InputError, UnicodeDecodeError):
-        return []
-    return [line.strip() for line in lines if line.strip() and not line.startswith("#")]
+        data = json.loads(content)
+        if isinstance(data, dict) and data and all(map(split_name, data)):
+            return [(split_name(key), _names(value)) for key, value in data.items()]
+        return [(split, _names(data))] if split else []
+    lines = [line.strip() for line in decode(content).splitlines() if not line.startswith("#")]
+    return [(split, [bare for line in lines if (bare := line.strip("\"'"))])]
 
 
-def _find(line: str, index: dict[str, list[Entry]]) -> list[Entry] | None:
-    """The entries of the longest end of a path that is known; with or without its suffix."""
+def _names(data: object) -> list[str]:
+    if isinstance(data, dict):
+        return [f"{key}/{name}" for key, names in data.items() for name in _names(names)]
+    return [item for item in data if isinstance(item, str)] if isinstance(data, list) else []
+
+
+def _find(
+    line: str, index: dict[str, list[Entry]], categories: set[str]
+) -> tuple[list[Entry], list[str]]:
+    """The entries of the longest end of a path that is known, with or without its suffix; and the
+    folders before that end. If these name a class, whatever its capitals, they are of that one."""
     for text in (line, re.split(r"[\s,;]", line, maxsplit=1)[0]):
         parts = text.replace("\\", "/").strip("/").split("/")
         for at in range(len(parts)):
             key = "/".join(parts[at:])
+            said = [part.casefold() for part in parts[:at] if part.casefold() in categories]
             for form in (key, re.sub(r"\.[^./]+$", "", key)):
-                if form in index:
-                    return index[form]
-    return None
+                found = index.get(form, [])
+                if said:
+                    found = [entry for entry in found if entry.category.casefold() == said[-1]]
+                if found:
+                    return found, parts[:at]
+    return [], []
 
 
 def _use(chosen: list[_Lists], layout: Layout) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.cloud_formats.points import Points, unit_normals
+from partialbench.dataset.cloud_formats.text import decode
 from partialbench.dataset.names import printable
 from partialbench.dataset.shards import open_hdf5
 from partialbench.dataset.sources import ObjectRef, RejectedObject
@@ -61,7 +62,14 @@ class PlyHdf5Store:
     def __init__(self, path: Path) -> None:
         files = hdf5_files(path)
         folder = files[0].parent if path.is_dir() else path.parent
-        self._files = {file.name: HdfFile(file) for file in files}
+        self._files: dict[str, HdfFile] = {}
+        for each in files:
+            if other := self._files.get(each.name):
+                raise InputError(
+                    f"{path} has {each.name} in {other.path.parent} and in {each.parent}; give one "
+                    f"of these folders"
+                )
+            self._files[each.name] = HdfFile(each)
         names = _shape_names(folder)
         split_of, listed = _official_splits(folder)
         self.listing = Listing((), {}, pattern="modelnet40_ply_hdf5_2048")
@@ -78,8 +86,15 @@ class PlyHdf5Store:
                     f"{file.path}: neither a list nor its name says train or test; put it beside "
                     f"train_files.txt or test_files.txt"
                 )
+            try:
+                opened = file.open()
+            except InputError as error:
+                if not path.is_dir():
+                    raise
+                self._left_out(name, str(error))
+                continue
             with parsing(str(file.path), "HDF5"):
-                labels = _labels(file.open())
+                labels = _labels(opened)
                 rows.append((split, name, len(labels), labels, _meshes(folder, name)))
         if path.is_dir():
             for name in sorted(set(split_of) - set(self._files)):
@@ -159,8 +174,20 @@ def _labels(file: h5py.File) -> NDArray[np.int64]:
 
 def _shape_names(folder: Path) -> list[str]:
     for path in sorted(folder.glob("*shape_names.txt")):
-        return [line.strip() for line in path.read_text("utf-8").splitlines() if line.strip()]
+        names = _lines(path)
+        for line, name in enumerate(names, 1):
+            # A label is the number of a line: none may be skipped.
+            if not name or name in names[: line - 1]:
+                what = f"is {name!r} for the second time" if name else "is empty"
+                raise InputError(f"{path}: line {line} {what}; expected a class a line")
+        return names
     return []
+
+
+def _lines(path: Path) -> list[str]:
+    """The lines of a list, empty ones at its end aside."""
+    with parsing(str(path), "text"):
+        return [line.strip() for line in decode(path.read_bytes()).rstrip().splitlines()]
 
 
 def _class_names(names: list[str], highest: int, folder: Path) -> tuple[str, ...]:
@@ -184,7 +211,7 @@ def _official_splits(folder: Path) -> tuple[dict[str, str], list[str]]:
         if not path.is_file():
             continue
         listed.append(path.name)
-        for line in filter(None, map(str.strip, path.read_text("utf-8").splitlines())):
+        for line in filter(None, _lines(path)):
             name = PurePosixPath(line.replace("\\", "/")).name
             if split_of.setdefault(name, split) != split:
                 raise InputError(f"{folder}: {name} is in both lists, {' and '.join(listed)}")
@@ -196,7 +223,7 @@ def _meshes(folder: Path, name: str) -> list[str]:
     path = folder / f"{match[1]}_{match[2]}_id2file.json" if match else folder / "none"
     if not path.is_file():
         return []
-    data: Any = json.loads(path.read_text("utf-8"))
+    data: Any = json.loads(path.read_bytes())
     if not (isinstance(data, list) and all(isinstance(item, str) for item in data)):
         raise InputError(f"{path.name} is no list of names")
     return data

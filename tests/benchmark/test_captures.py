@@ -87,6 +87,61 @@ def test_an_array_of_more_columns_is_a_cloud_and_says_so(tmp_path, rng, caplog):
         read_points(tmp_path / "words.npy")
 
 
+def test_an_array_is_read_as_a_cloud_file_is(tmp_path, rng, caplog):
+    """A point a column, axes of length 1 and named fields; with intrinsics for other files too."""
+    points = rng.standard_normal((200, 3))
+    named = np.array([tuple(row) for row in points], [(axis, "f8") for axis in "xyz"])
+    for array in (points.T, np.vstack([points.T, points.T]), points[None], points.T[None], named):
+        np.save(tmp_path / "a.npy", array)
+        for K in (None, (525, 525, 319.5, 239.5)):
+            assert np.array_equal(read_points(tmp_path / "a.npy", K), points)
+    assert {record.getMessage().partition(": ")[2] for record in caplog.records} == {
+        "of 6 columns the first three are taken for x, y, z"
+    }
+    depth = np.abs(points.T) + 1
+    np.save(tmp_path / "a.npy", depth)
+    assert len(read_points(tmp_path / "a.npy", (9, 9, 100, 2))) == depth.size
+    np.save(tmp_path / "a.npy", depth.reshape(1, 20, 30))
+    assert len(read_points(tmp_path / "a.npy", (30, 30, 15, 10))) == depth.size
+
+
+def test_an_image_of_depths_in_an_archive_is_no_cloud(tmp_path, rng):
+    np.savez(tmp_path / "a.npz", depth=rng.random((48, 64)))
+    with pytest.raises(InputError, match=r"\(48, 64\): an image, or 64 numbers a point"):
+        read_points(tmp_path / "a.npz")
+
+
+def test_zeros_where_nothing_was_measured_are_left_out(tmp_path, rng, caplog):
+    points = rng.standard_normal((200, 3))
+    np.savetxt(tmp_path / "a.xyz", np.vstack([points[:50], np.zeros((40, 3)), points[50:]]))
+    assert np.allclose(read_points(tmp_path / "a.xyz"), points)
+    assert "40 of 240 points are (0, 0, 0), as where nothing was measured" in caplog.text
+    caplog.clear()
+    # One zero may be a point, and so may several where every point is there several times.
+    for kept in (
+        np.vstack([points, np.zeros((1, 3))]),
+        np.tile(np.vstack([points, [0] * 3]), (3, 1)),
+    ):
+        np.save(tmp_path / "a.npy", kept)
+        assert np.array_equal(read_points(tmp_path / "a.npy"), kept)
+    assert not caplog.records
+
+
+def test_an_image_file_of_several_images_is_refused(tmp_path):
+    pages = [Image.fromarray(np.full((20, 20), k, np.float32) + np.eye(20)) for k in (1, 2)]
+    pages[0].save(tmp_path / "a.tif", save_all=True, append_images=pages[1:])
+    with pytest.raises(InputError, match="has 2 images; expected one, of depths"):
+        read_points(tmp_path / "a.tif", (20, 20, 10, 10))
+
+
+def test_columns_that_a_header_names_are_not_said_to_be_the_first(tmp_path, rng, caplog):
+    points = rng.standard_normal((50, 3)).round(6)
+    table = np.column_stack([points[:, ::-1], np.ones(50)])
+    np.savetxt(tmp_path / "a.txt", table, header="z y x intensity", comments="")
+    assert np.allclose(read_points(tmp_path / "a.txt"), points)
+    assert not caplog.records
+
+
 def test_a_run_or_a_folder_of_results_stands_for_its_checkpoint(weights, tmp_path):
     run = weights.parents[1]
     assert find_checkpoint(run) == find_checkpoint(weights.parent) == find_checkpoint(weights)

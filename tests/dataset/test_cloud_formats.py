@@ -48,6 +48,9 @@ ROWS = "0.5 0.6 0.7\n0.25 0.125 1\n"
         ("id x y z\n" + ROWS, "line 1 names 4 columns .id x y z., the table has 3"),
         ("x y z x\n1 2 3 4\n", "names two columns the same"),
         ("1 2 3 4\n2 3 4 5\n3 1 2 3\n4 0 0 0\n", "the first column counts the rows from 1 on"),
+        ("7 .2 3 4\n9 .3 4 5\n10 .1 2 3\n40 0 0 0\n", "another whole number in each row .7, 9, 10"),
+        ("7 .2 3 4\n3 .3 4 5\n40 .1 2 3\n5 0 0 0\n", "another whole number in each row .7, 3, 40"),
+        ("x y z\n7 .2 3 4\n3 .3 4 5\n40 .1 2 3\n5 0 0 0\n", "is it x or a number of the point"),
         ("", "no line of numbers"),
         ("# nothing\n", "no line of numbers"),
         ("nan nan nan\n" + ROWS, "1 of 3 points are not finite"),
@@ -66,6 +69,7 @@ def test_text_that_may_be_read_two_ways_is_refused(content: str, message: str) -
         (written.npy(np.ones((3, 3))), r"shape \(3, 3\): rows and columns cannot be told apart"),
         (written.npy(np.ones((3, 6))), r"shape \(3, 6\), which may be read either way"),
         (written.npy(np.ones((4, 60))), r"shape \(4, 60\), which may be read either way"),
+        (written.npy(np.ones((48, 64))), r"shape \(48, 64\): an image, or 64 numbers a point"),
         (written.npy(np.ones((2, 60, 3))), r"shape \(2, 60, 3\); expected one"),
         (written.npy(np.ones(60)), r"shape \(60,\); expected one"),
         (written.npy(np.ones((60, 3), complex)), "holds complex128, expected an array of real"),
@@ -80,6 +84,18 @@ def test_text_that_may_be_read_two_ways_is_refused(content: str, message: str) -
 def test_arrays_of_another_shape_are_refused(content: bytes, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_cloud(content, "a.npy")
+
+
+def test_a_column_without_a_name_keeps_its_place(rng) -> None:
+    """pandas writes the numbers of rows, of which some may be gone, under no name."""
+    points = rng.normal(size=(20, 3))
+    table = np.column_stack([rng.permutation(99)[:20], points, rng.integers(0, 9, 20)])
+    for header in (",x,y,z,class", '"";"x";"y";"z";"class"', " , x , y , z , class ,"):
+        sign = ";" if ";" in header else ","
+        closed = sign if header.endswith(",") else ""
+        rows = [sign.join(map(repr, map(float, row))) + closed for row in table]
+        content = "\n".join([header, *rows]).encode()
+        assert np.array_equal(read_cloud(content, "a.csv"), points)
 
 
 def test_an_archive_of_several_arrays_is_refused_by_its_keys(rng) -> None:

@@ -116,6 +116,56 @@ def test_arrays_of_another_kind_are_told(release, rng, more, message: str) -> No
         open_source(root)
 
 
+def test_lists_are_read_however_they_were_saved(release) -> None:
+    root, _ = release
+    (root / "shape_names.txt").write_bytes("\ufeffTöpfe\r\npan\r\npot\r\n\r\n".encode())
+    (root / "train_files.txt").write_bytes("ply_data_train0.h5\r\n".encode("utf-16"))
+    (root / "test_files.txt").write_bytes("\ufeffply_data_test0.h5".encode())
+    (root / "ply_data_train_0_id2file.json").write_bytes(b'\xef\xbb\xbf["a.ply", "b.ply", "c.ply"]')
+    source = open_source(root)
+    assert source.class_names == ("Töpfe", "pan", "pot")
+    assert [r.object_id for r in source.objects("train")] == ["a", "b", "c"]
+    assert source.rejected == []
+    (root / "shape_names.txt").write_bytes("Töpfe\npan\npot".encode("latin-1"))
+    assert open_source(root).class_names == ("Töpfe", "pan", "pot")
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [("mug\n\npan\npot\n", "line 2 is empty"), ("mug\npan\nmug\n", "line 3 is 'mug' for the")],
+)
+def test_a_class_is_the_number_of_its_line(release, names: str, message: str) -> None:
+    root, _ = release
+    (root / "shape_names.txt").write_text(names)
+    with pytest.raises(InputError, match=message):
+        open_source(root)
+
+
+def test_a_broken_file_of_a_release_is_left_out(release) -> None:
+    root, _ = release
+    whole = (root / "ply_data_train0.h5").read_bytes()
+    (root / "ply_data_train1.h5").write_bytes(whole[: len(whole) // 2])
+    with (root / "train_files.txt").open("a") as listed:
+        listed.write("ply_data_train1.h5\n")
+    source = open_source(root)
+    assert len(source.objects("train")) == 3
+    [left] = source.rejected
+    assert (left.location, left.failed) == ("ply_data_train1.h5", True)
+    assert "is not a readable HDF5 file" in left.reason
+    with pytest.raises(InputError, match="is not a readable HDF5 file"):
+        open_source(root / "ply_data_train1.h5")
+
+
+def test_two_releases_in_one_folder_are_not_mixed(release) -> None:
+    root, _ = release
+    (root.parent / "other").mkdir()
+    (root.parent / "other" / "ply_data_test0.h5").write_bytes(
+        (root / "ply_data_test0.h5").read_bytes()
+    )
+    with pytest.raises(InputError, match=r"has ply_data_test0.h5 in .*; give one of these folders"):
+        open_source(root.parent)
+
+
 OWN = {
     "class_names": np.array([b"a", b"b"]),
     "train/points": np.random.default_rng(0).normal(size=(3, 3, 30)),

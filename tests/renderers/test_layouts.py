@@ -306,3 +306,77 @@ def test_a_zip_with_backslashes_is_one_with_slashes(tmp_path: Path) -> None:
     assert (ref.object_id, len(source.load(ref).faces)) == ("mug/b", 2)
     with pytest.raises(InputError, match="2 of these formats lie otherwise"):
         open_source(write(tmp_path / "flat", "a.off", "b.off"))
+
+
+@pytest.mark.parametrize("prefix", ["./", "../", "/", "data//"])
+def test_a_zip_may_say_where_its_folder_lay(tmp_path: Path, prefix: str) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as packed:
+        for name in ("mug/train/a.off", "mug/test/b.off"):
+            packed.writestr(prefix + name, OFF)
+    source = open_source(tmp_path / "a.zip")
+    assert [r.object_id for split in source.splits() for r in source.objects(split)] == [
+        "mug/a", "mug/b",
+    ]  # fmt: skip
+    assert len(source.load(source.objects("test")[0]).faces) == 2
+
+
+def test_folders_of_the_same_files_are_objects_of_one_class() -> None:
+    names = [f"02691156/{k}/models/{f}.obj" for k in "ab" for f in ("model_normalized", "solid")]
+    assert found(*names) == [("02691156", "a", ""), ("02691156", "b", "")]
+    classes = [f"data/{c}/{k}.obj" for c in ("mug", "pan") for k in ("0000", "0001")]
+    assert {category for category, _, _ in found(*classes)} == {"mug", "pan"}
+
+
+FOUR = ("mug/0.off", "mug/1.off", "pan/0.off", "pan/1.off")
+
+
+def splits_of(root: Path) -> tuple[dict[str, list[str]], list[str]]:
+    source = open_source(root)
+    listed = {s: [r.object_id for r in source.objects(s)] for s in source.splits()}
+    return listed, [f"{r.location}: {r.reason}" for r in source.rejected if r.failed]
+
+
+def test_a_list_may_be_in_json_by_class_or_in_quotes(tmp_path: Path) -> None:
+    write(tmp_path, *FOUR)
+    write(tmp_path, "train.json", content=b'{"mug": ["0"], "pan": ["0", "1"]}')
+    write(tmp_path, "test.txt", content=b'"mug/1"\n')
+    assert splits_of(tmp_path) == ({"train": ["mug/0", "pan/0", "pan/1"], "test": ["mug/1"]}, [])
+
+
+@pytest.mark.parametrize("name", ["splits.json", "train_test_split.json"])
+def test_a_file_may_hold_all_splits(tmp_path: Path, name: str) -> None:
+    write(tmp_path, *FOUR)
+    both = b'{"train": ["mug/0", "pan/0", "pan/1"], "test": {"mug": ["1"]}}'
+    write(tmp_path, name, content=both)
+    assert splits_of(tmp_path) == ({"train": ["mug/0", "pan/0", "pan/1"], "test": ["mug/1"]}, [])
+
+
+def test_a_list_that_gives_no_split_is_told(tmp_path: Path) -> None:
+    write(tmp_path, *FOUR)
+    write(tmp_path, "train.json", content=b'[{"id": "mug/0"}]')
+    assert splits_of(tmp_path)[1] == [
+        "train.json: is called as a list of a split is, but names no object that is here"
+    ]
+    write(tmp_path, "train.json", content=b'["mug/0",')
+    write(tmp_path, "test.txt", content=b"mug/1\nmug/0\npan/0\npan/1\n")
+    listed, told = splits_of(tmp_path)
+    assert len(listed["test"]) == 4
+    assert len(told) == 1
+    assert told[0].startswith("train.json: is called as a list is, but cannot be read (Expecting")
+
+
+def test_the_class_in_a_list_counts(tmp_path: Path) -> None:
+    write(tmp_path, *FOUR, "cup/7.off")
+    write(tmp_path, "train.txt", content=b"Mug/0\nCUP/7\nmug/7\nspoon/1\n")
+    write(tmp_path, "test.txt", content=b"some/where/Pan/1\n")
+    listed, told = splits_of(tmp_path)
+    assert listed == {"train": ["cup/7", "mug/0"], "test": ["pan/1"]}
+    assert "train.txt: names 'mug/7', which no file gives" in told
+    assert "train.txt: names 'spoon/1', which no file gives" in told
+
+
+def test_classes_that_look_like_modelnet40s_are_told(tmp_path: Path) -> None:
+    source = open_source(write(tmp_path, "Night Stand/0.off", "Bottles/0.off", "mug/0.off"))
+    assert source.class_names == ("Bottles", "Night Stand", "mug")
+    assert "'Bottles' (bottle), 'Night Stand' (night_stand) would be ModelNet40's" in source.listing
+    assert "would be" not in open_source(write(tmp_path / "b", "sofa/0.off", "mug/0.off")).listing

@@ -89,6 +89,15 @@ def test_stl(content: bytes, message: str) -> None:
         read_mesh(content, ".stl")
 
 
+def test_normals_that_are_no_numbers_cost_no_triangle() -> None:
+    written = DIALECTS["plain.stl"].replace(b"nan nan nan", b"-1.#IND 1.#QNAN0 1.#INF00e+000")
+    assert b"#" in written
+    found, expected = (read_mesh(c, ".stl") for c in (written, DIALECTS["plain.stl"]))
+    assert np.array_equal(found.triangles, expected.triangles)
+    with pytest.raises(InputError, match="a normal's component; expected a number"):
+        read_mesh(DIALECTS["plain.stl"].replace(b"nan nan nan", b"1.#X 0 0"), ".stl")
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

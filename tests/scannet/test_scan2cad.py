@@ -157,6 +157,13 @@ def test_a_model_that_is_no_object_spares_the_others(tmp_path):
     ]  # fmt: skip
 
 
+def test_an_offset_that_lost_its_zeros_has_them_again(tmp_path):
+    entry = annotate("scene0001_00", [Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0, 0))])
+    entry["aligned_models"][0]["catid_cad"] = 3001627
+    [scene] = read_annotations(write_annotations(tmp_path, [entry]))
+    assert scene.models[0].catid == "03001627"
+
+
 def test_damaged_files(tmp_path):
     path = tmp_path / "full_annotations.json"
     with pytest.raises(InputError, match="--scan2cad"):

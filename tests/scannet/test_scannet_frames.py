@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -90,9 +92,15 @@ def test_missing_files_are_named(scene, label_map):
         ("_vh_clean_2.ply", b"not a mesh", "damaged PLY"),
         ("_vh_clean_2.0.010000.segs.json", b'{"segIndices": [1, 2]}', "the mesh has"),
         ("_vh_clean_2.0.010000.segs.json", b'{"segIndices": ["a"]}', "not integers"),
+        ("_vh_clean_2.0.010000.segs.json", b'{"segIndices": [1, 2.5]}', "2.5 is no whole number"),
         ("_vh_clean_2.0.010000.segs.json", b"{", "damaged"),
         (".aggregation.json", b'{"groups": []}', "segGroups"),
         (".aggregation.json", b'{"segGroups": [{"label": "chair"}]}', "objectId"),
+        (
+            ".aggregation.json",
+            b'{"segGroups": [{"objectId": 0, "label": "chair", "segments": [97, 98]}]}',
+            "names the segments 97, 98, …, none of which the mesh has",
+        ),
     ],
 )
 def test_damaged_files_are_named(tmp_path, label_map, name, content, message):
@@ -134,6 +142,21 @@ def test_segments_of_the_full_resolution_mesh_are_not_taken_for_ours(tmp_path, l
     assert read_scene(folder, label_map).groups == []
 
 
+def test_a_segment_named_twice_or_absent_changes_no_object(tmp_path, label_map):
+    write_scene(tmp_path, "scene0002_00", [Thing("chair", CHAIR, (0.5, 0.5, 0.9), (0, 0))], True)
+    folder = tmp_path / "scans" / "scene0002_00"
+    before = read_scene(folder, label_map)
+    path = folder / "scene0002_00.aggregation.json"
+    data = json.loads(path.read_text())
+    for group in data["segGroups"]:
+        group["segments"] = [*group["segments"], 97, *group["segments"]]
+    path.write_text(json.dumps(data))
+    read = read_scene(folder, label_map)
+    np.testing.assert_array_equal(read.labels, before.labels)
+    assert [len(g.segments) for g in read.groups] == [len(g.segments) + 1 for g in before.groups]
+    assert read.notes == {"segments_absent": 1}
+
+
 def test_labels_of_another_mesh_are_refused(scene, label_map):
     mesh = scene / f"{scene.name}_vh_clean_2.ply"
     other = scene.parent / "scene0009_00"
@@ -149,6 +172,11 @@ def test_label_map_errors(tmp_path):
     path = tmp_path / "map.tsv"
     path.write_text("id\traw_category\n1\twall\n")
     with pytest.raises(InputError, match="ModelNet40, ShapeNetCore55, count, nyu40id"):
+        read_label_map(path)
+    path.write_bytes(b"\xef\xbb\xbf" + LABEL_MAP.encode())  # as spreadsheets save it
+    assert read_label_map(path).class_of["armchair"] == "chair"
+    path.write_text(LABEL_MAP + "9" * 200_000)
+    with pytest.raises(InputError, match="field larger than field limit"):
         read_label_map(path)
     path.write_text(LABEL_MAP + "x\tsofa\tsofa\t9\t6\tsofa\tsofa\n")
     with pytest.raises(InputError, match="line 10"):

@@ -150,6 +150,8 @@ def test_unknown_and_damaged_models_spare_the_rest(tmp_path, things):
     assert list(everything(source)) == ["scene0001_00/2"]
     assert reasons(source)["scene0001_00/0"] == "unknown CAD category '99999999'"
     assert reasons(source)["scene0001_00/1"].startswith("damaged annotation")
+    # What is damaged is a failure, what the data set does not have is none.
+    assert [r.object_id for r in source.rejected if r.failed] == ["scene0001_00/1"]
 
 
 def test_a_bad_scene_never_ends_the_run(tmp_path, things):

@@ -56,7 +56,12 @@ def of_table(table: NDArray, where: str = "") -> Points:
     rows, columns = table.shape
     if rows in (3, 6) and columns > WIDEST:
         table = table.T
-    elif columns > WIDEST >= rows or (columns != 3 and rows in (3, 6) and columns >= 3):
+    elif min(rows, columns) > WIDEST:
+        raise InputError(
+            f"{where}has the shape {shape}: an image, or {columns} numbers a point; save it as "
+            f"(n,3), a point a row"
+        )
+    elif columns > WIDEST or (columns != 3 and rows in (3, 6) and columns >= 3):
         raise InputError(
             f"{where}has the shape {shape}, which may be read either way; save it as (n,3), "
             f"a point a row"
@@ -77,13 +82,45 @@ def of_rows(table: NDArray, where: str = "") -> Points:
 
 
 def require_no_index(table: NDArray, where: str = "") -> None:
-    """Raise ``InputError`` where the first of four or more columns counts the rows."""
+    """Raise ``InputError`` where the first of four or more columns numbers the points.
+
+    It counts the rows; or, as where points were picked from more, it holds a whole number of each,
+    in rising order or beside coordinates that are no whole numbers.
+    """
     first = table[:, 0]
-    if table.shape[1] > 3 and len(table) > 3 and first[0] in (0, 1) and (np.diff(first) == 1).all():
-        raise InputError(
-            f"{where}the first column counts the rows from {first[0]:g} on: is it x or a number "
-            f"of the point? Name the columns in a header (id x y z), or remove it"
-        )
+    if table.shape[1] <= 3 or len(first) <= 3 or not np.isfinite(first).all():
+        return
+    if not (first == np.floor(first)).all():
+        return
+    steps = np.diff(first)
+    if first[0] in (0, 1) and (steps == 1).all():
+        found = f"counts the rows from {first[0]:g} on"
+    elif (steps > 0).all() or (
+        len(np.unique(first)) == len(first) and (table[:, 1:4] != np.floor(table[:, 1:4])).any()
+    ):
+        shown = ", ".join(f"{value:.10g}" for value in first[:3])
+        found = f"has another whole number in each row ({shown}, …)"
+    else:
+        return
+    raise InputError(
+        f"{where}the first column {found}: is it x or a number of the point? Name the columns in a "
+        f"header (id x y z), or remove it"
+    )
+
+
+def padding(points: NDArray) -> NDArray[np.bool_]:
+    """Which of the points (n,3) are (0, 0, 0) and are none: files are padded with them to a fixed
+    size, sensors write them where they measured nothing.
+
+    Those are two or more, and more than there are of any other point, as zero may be a point too.
+    """
+    zero = (points == 0).all(axis=1)
+    count = int(zero.sum())
+    if 2 <= count < len(points):
+        _, times = np.unique(points[~zero], axis=0, return_counts=True)
+        if count > times.max():
+            return zero
+    return np.zeros(len(points), np.bool_)
 
 
 def unit_normals(points: Points) -> NDArray[np.float64] | None:

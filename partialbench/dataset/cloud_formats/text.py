@@ -237,9 +237,13 @@ def _say_what_is_wrong(lines: list[_Line], separator: str) -> None:
 
 
 def _names_in(text: str) -> list[str]:
-    """The words of a header in small letters, without quotes and units: "X [m]" is x."""
-    words = re.split(r"[\s,;]+", re.sub(r"\s*[(\[][^)\]]*[)\]]", "", text).strip(" \t,;"))
-    return [word.strip("\"'").lower() for word in words]
+    """The words of a header in small letters, without quotes and units: "X [m]" is x.
+
+    A column without a name, as pandas writes the numbers of rows (",x,y,z"), keeps its place.
+    """
+    bare = re.sub(r"\s*[(\[][^)\]]*[)\]]", "", text).strip()
+    words = re.split(r"\s*[,;]\s*|\s+", bare)
+    return [word.strip("\"'").lower() for word in (words if words[-1] else words[:-1])]
 
 
 def _axes(text: str) -> list[str]:

@@ -18,6 +18,8 @@ from renderers.sources.formats.text import decimals, shown, unix_lines
 _HEADER, _RECORD = 84, 50
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _COMMENT = re.compile(rb"^[ \t]*[;#].*$", re.MULTILINE)
+_NO_NUMBER = re.compile(rb"[+-]?1\.#(?:qnan|snan|ind|inf)\w*(?:[+-]\d+)?")
+"""How old Windows programs write NaN and infinity, here in small letters."""
 _SOLID = re.compile(rb"solid(?!\S)[^\n]*")
 """From the word to the line's end: a solid's name may be anything."""
 _FACET = b"facet normal 0 0 0 outer loop vertex 0 0 0 vertex 0 0 0 vertex 0 0 0 endloop endfacet"
@@ -92,7 +94,10 @@ def _read_ascii(content: bytes) -> np.ndarray:
     if left or any(set(words[k::size]) != {_WORDS[k]} for k in _KEYWORDS):
         raise InputError(_first_wrong(words))
     for k in _NORMAL:
-        decimals(words[k::size], "a normal's component")  # NaN is often there
+        normals = words[k::size]
+        if b"#" in text:
+            normals = [b"nan" if _NO_NUMBER.fullmatch(word) else word for word in normals]
+        decimals(normals, "a normal's component")  # NaN is often there
     numbers = [decimals(words[k::size], "a coordinate") for k in _COORDINATES]
     return np.stack(numbers, axis=1).reshape(count, 3, 3)
 

@@ -97,13 +97,13 @@ def read_label_map(path: Path) -> LabelMap:
     not have, go by the ShapeNetCore55 column.
     """
     try:
-        with open(path, encoding="utf-8", newline="") as file:
+        with open(path, encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file, delimiter="\t")
             columns = {"id", "raw_category", "nyu40id", "ModelNet40", "ShapeNetCore55", "count"}
             if absent := sorted(columns - set(reader.fieldnames or ())):
                 raise InputError(f"{path} lacks the column(s) {', '.join(absent)}")
             rows = list(reader)
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(
             f"cannot read ScanNet's label map {path}: {error}. It is part of the ScanNet download: "
             f"put it into the --scannet folder, beside scans/, or give --label-map"
@@ -176,6 +176,7 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
     if segmented:
         segments = _read_segments(files["segments"], len(vertices))
         groups = _read_groups(files["aggregation"])
+        _require_segments(files["aggregation"], groups, segments, notes)
     raw = _read_labels(files["labels"], len(vertices)) if "labels" in files else None
     if segments is not None:
         assert groups is not None
@@ -222,6 +223,21 @@ def _normals(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
     )
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+
+def _require_segments(
+    path: Path, groups: list[SegmentGroup], segments: NDArray[np.int64], notes: dict[str, Any]
+) -> None:
+    """``InputError`` where the objects' segments are another mesh's; a note where some are."""
+    named = np.unique(np.concatenate([*(g.segments for g in groups), np.zeros(0, np.int64)]))
+    absent = named[~np.isin(named, segments)]
+    if len(absent) and len(absent) == len(named):
+        raise InputError(
+            f"{path.name}: names the segments {', '.join(map(str, absent[:3].tolist()))}, …, none "
+            f"of which the mesh has; expected the aggregation of its own segs.json"
+        )
+    if len(absent):
+        notes["segments_absent"] = len(absent)
 
 
 def _labels_of_groups(
@@ -299,9 +315,9 @@ def _read_json(path: Path, key: str) -> Any:
 def _read_segments(path: Path, vertices: int) -> NDArray[np.int64]:
     data = _read_json(path, "segIndices")
     try:
-        segments = np.asarray(data, np.int64)
+        segments = _whole(data)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path.name}: segIndices are not integers") from error
+        raise InputError(f"{path.name}: segIndices are not integers ({error})") from error
     if segments.shape != (vertices,):
         raise InputError(
             f"{path.name}: segIndices has shape {segments.shape}, the mesh has {vertices} vertices"
@@ -309,12 +325,22 @@ def _read_segments(path: Path, vertices: int) -> NDArray[np.int64]:
     return segments
 
 
+def _whole(numbers: Any) -> NDArray[np.int64]:
+    found = np.asarray(numbers, np.int64)
+    if (odd := found != np.asarray(numbers, np.float64)).any():
+        raise ValueError(f"{np.asarray(numbers)[odd][0]} is no whole number")
+    return found
+
+
 def _read_groups(path: Path) -> list[SegmentGroup]:
     data = _read_json(path, "segGroups")
     try:
         return [
             SegmentGroup(
-                int(group["objectId"]), str(group["label"]), np.asarray(group["segments"], np.int64)
+                # A segment that is named twice is there once.
+                int(group["objectId"]),
+                str(group["label"]),
+                np.unique(_whole(group["segments"])),
             )
             for group in data
         ]

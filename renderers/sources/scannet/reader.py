@@ -157,7 +157,9 @@ class SceneReader:
             read = self.read(annotation)
         except BROKEN_INPUT as error:
             return Listed((), (*broken, (scene_id, reason_of(error), {}, True)), {})
-        rejected = ((f"{scene_id}/{i}", reason, details, False) for i, reason, details in
+        # A model that is damaged is lost, not turned away by a rule.
+        damaged = {model.index for model in annotation.models if model.problem}
+        rejected = ((f"{scene_id}/{i}", reason, details, i in damaged) for i, reason, details in
                     read.rejected)  # fmt: skip
         found = ((index, instance.class_name) for index, instance in read.instances.items())
         return Listed(tuple(found), (*broken, *rejected), read.notes)

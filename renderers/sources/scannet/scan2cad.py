@@ -219,6 +219,8 @@ def _model(index: int, entry: dict[str, Any], M_scan_world: NDArray) -> AlignedM
         if not isinstance(entry, dict):
             raise InputError(f"the model is {json.dumps(entry)[:40]}, expected a JSON object")
         catid, cad_id = str(entry.get("catid_cad", "")), str(entry.get("id_cad", ""))
+        # A table program takes an offset for a number and drops its zeros.
+        catid = catid.zfill(8) if catid.isdecimal() else catid
         matrix = portable.product(M_scan_world, trs_matrix(entry.get("trs", {})))
         centre = np.asarray(entry["center"], np.float64)
         half_extent = np.asarray(entry["bbox"], np.float64)
