@@ -15,11 +15,11 @@ _ORIGIN = (
     "points near the origin are sampled as others; the release's kernel takes those with |p|² ≤ "
     "0.001 for padding (quirks=origin)"
 )
-_SHARES = (
-    "of a cloud of fewer points than the published 1,024, the same shares are kept at each level; "
-    "the release would sample points again"
+_SMALL = (
+    "of a cloud of fewer points than the published 1,024, the same shares are kept at each level, "
+    "and of very small clouds as many neighbours as there are; the release samples points again "
+    "(quirks=counts)"
 )
-_SMALL = _SHARES + ", and of very small clouds as many neighbours as there are"
 _BACKBONE = (
     "PointNet++ (SSG) by default, as the paper's own T-Net, IT-Net and RRI rows have; any model "
     'that predicts classes alone: backbone=dgcnn, backbone_options={"k": 10}'
@@ -55,7 +55,7 @@ CARDS: tuple[ModelCard, ...] = (
             ),
         ),
         published="baselines.pointmlp:from_published",
-        published_options={"quirks": "start+origin"},
+        published_options={"quirks": "start+origin+counts"},
         choices=(
             "neighbourhoods are divided by the spread of their own cloud, as released since "
             "abc9176; before, and in the paper's figures, by that of the whole batch, with which "
@@ -97,7 +97,7 @@ CARDS: tuple[ModelCard, ...] = (
             "point that the ScanObjectNN form adds means nothing in a camera's frame",
             "published radii, of clouds in the unit ball: of 256 points many balls of the first "
             "level hold few",
-            _SHARES,
+            "half of the points are kept at each level, however many a cloud has, as released",
         ),
         deviations=(
             _ANCHORS,
@@ -132,7 +132,7 @@ CARDS: tuple[ModelCard, ...] = (
             ),
         ),
         published="baselines.pct:from_published",
-        published_options={"quirks": "start+origin"},
+        published_options={"quirks": "start+origin+counts"},
         choices=(
             "the release's first model: attention sees no positions, queries and keys share their "
             "weights and are not scaled",

@@ -145,7 +145,7 @@ class CanonicalPCA24(nn.Module):
         return Prediction(total / POSES if self.selector is None else total)
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict → ours with ``backbone=released`` and ``pooling=blend``.
 
     Its trunk's ``bn1`` … ``bn5`` are never used.
