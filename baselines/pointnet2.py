@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from baselines.balls import Balls, without_padding
 from baselines.edges import edge_moments, edge_relu
-from baselines.points import ball_query, farthest_points, gather, normalise
+from baselines.points import as_weights, ball_query, farthest_points, gather, normalise
 from baselines.published import chosen_quirks, tensors
 from baselines.shared_mlp import Normed, SharedMLP, head
 from partialbench.benchmark.prediction import Prediction
@@ -199,7 +199,7 @@ class PointNet2(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        return Prediction(self.classify(normalise(points)))
+        return Prediction(self.classify(as_weights(normalise(points), self)))
 
 
 def pointnet2_ssg(num_classes: int, quirks: str = "") -> PointNet2:

@@ -16,7 +16,7 @@ from baselines.anchors import QUIRKS as SAMPLING_QUIRKS
 from baselines.anchors import anchors
 from baselines.balls import without_padding
 from baselines.pointnet2 import GroupLinear
-from baselines.points import ball_query, gather, normalise
+from baselines.points import as_weights, ball_query, gather, normalise
 from baselines.published import chosen_quirks, tensors
 from baselines.shared_mlp import NormLinear, SharedMLP
 from partialbench.benchmark.prediction import Prediction
@@ -86,7 +86,7 @@ class PointNeXt(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        points = normalise(points, radius=1.0)
+        points = as_weights(normalise(points, radius=1.0), self)
         x = self.embed(points)
         counts = [max(1, points.shape[1] >> i) for i in range(1, 1 + len(self.levels))]
         chosen = anchors(points, counts[0], self.quirks)
