@@ -86,8 +86,8 @@ CARDS: tuple[ModelCard, ...] = (
             smoothing_over_others=True,
             clip_norm=1.0,
             notes=(
-                "Published augmentation: scale per axis 2/3–3/2, shift 0.2; no rotation. Published "
-                "weight decay spares biases and norms." + _BEST_EPOCH
+                "Published augmentation: scale per axis 2/3–3/2, shift 0.2; no rotation."
+                + _BEST_EPOCH
             ),
         ),
         published="baselines.pointnext:from_published",
@@ -103,6 +103,7 @@ CARDS: tuple[ModelCard, ...] = (
             _ANCHORS,
             "balls keep their nearest points; the release keeps the first in index order "
             "(quirks=order)",
+            "weight decay is of all parameters; the release spares biases and norms",
         ),
     ),
     ModelCard(
