@@ -174,6 +174,8 @@ CARDS: tuple[ModelCard, ...] = (
             "them; in evaluation all, which costs 24 passes",
             "where two of a cloud's variances are equal, axes are any in their plane, and no pose "
             "of the 24 mends that: a solid of revolution gets another answer when turned",
+            "PointNet++ samples and groups in single precision: of 32 turned clouds of 256 to 600 "
+            "points one got logits off by more than 10⁻⁴ of the largest, by 0.006",
         ),
         deviations=(
             "logits of all poses are averaged. The release blends the 24 clouds into one: their "
