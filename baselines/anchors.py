@@ -19,17 +19,22 @@ PUBLISHED_POINTS = 1024
 QUIRKS = {
     "start": "farthest point sampling starts at index 0",
     "origin": "it never selects a point within 0.03 of the origin",
+    "counts": "every cloud is sampled as often as one of 1,024 points, a smaller one's some again",
 }
 """What published implementations do that the rows here do not."""
 SKIPPED = 1e-3
 """Squared norm; a kernel that many of them share takes such points for padding."""
 
 
-def num_anchors(points: int, published: Sequence[int]) -> tuple[int, ...]:
+def num_anchors(
+    points: int, published: Sequence[int], quirks: frozenset[str] = frozenset()
+) -> tuple[int, ...]:
     """How many points each level keeps of a cloud of so many, if of 1,024 it is ``published``.
 
     Smaller clouds keep the published shares, see ``pointnet2.num_centres``.
     """
+    if "counts" in quirks:
+        return tuple(published)
     share = min(points, PUBLISHED_POINTS) / PUBLISHED_POINTS
     return tuple(max(1, round(share * count)) for count in published)
 
@@ -42,7 +47,7 @@ def anchors(points: Tensor, count: int, quirks: frozenset[str] = frozenset()) ->
     are the anchors that sampling the anchors again would choose.
 
     Args:
-        count: at most N.
+        count: at most N, but for "counts".
         quirks: of ``QUIRKS``; with "start" points are chosen twice where all have been.
     """
     start = None if "start" in quirks else farthest_from_centre(points)

@@ -15,11 +15,11 @@ _ORIGIN = (
     "points near the origin are sampled as others; the release's kernel takes those with |p|² ≤ "
     "0.001 for padding (quirks=origin)"
 )
-_SHARES = (
-    "of a cloud of fewer points than the published 1,024, the same shares are kept at each level; "
-    "the release would sample points again"
+_SMALL = (
+    "of a cloud of fewer points than the published 1,024, the same shares are kept at each level, "
+    "and of very small clouds as many neighbours as there are; the release samples points again "
+    "(quirks=counts)"
 )
-_SMALL = _SHARES + ", and of very small clouds as many neighbours as there are"
 _BACKBONE = (
     "PointNet++ (SSG) by default, as the paper's own T-Net, IT-Net and RRI rows have; any model "
     'that predicts classes alone: backbone=dgcnn, backbone_options={"k": 10}'
@@ -55,7 +55,7 @@ CARDS: tuple[ModelCard, ...] = (
             ),
         ),
         published="baselines.pointmlp:from_published",
-        published_options={"quirks": "start+origin"},
+        published_options={"quirks": "start+origin+counts"},
         choices=(
             "neighbourhoods are divided by the spread of their own cloud, as released since "
             "abc9176; before, and in the paper's figures, by that of the whole batch, with which "
@@ -86,8 +86,8 @@ CARDS: tuple[ModelCard, ...] = (
             smoothing_over_others=True,
             clip_norm=1.0,
             notes=(
-                "Published augmentation: scale per axis 2/3–3/2, shift 0.2; no rotation. Published "
-                "weight decay spares biases and norms." + _BEST_EPOCH
+                "Published augmentation: scale per axis 2/3–3/2, shift 0.2; no rotation."
+                + _BEST_EPOCH
             ),
         ),
         published="baselines.pointnext:from_published",
@@ -97,12 +97,13 @@ CARDS: tuple[ModelCard, ...] = (
             "point that the ScanObjectNN form adds means nothing in a camera's frame",
             "published radii, of clouds in the unit ball: of 256 points many balls of the first "
             "level hold few",
-            _SHARES,
+            "half of the points are kept at each level, however many a cloud has, as released",
         ),
         deviations=(
             _ANCHORS,
             "balls keep their nearest points; the release keeps the first in index order "
             "(quirks=order)",
+            "weight decay is of all parameters; the release spares biases and norms",
         ),
     ),
     ModelCard(
@@ -132,7 +133,7 @@ CARDS: tuple[ModelCard, ...] = (
             ),
         ),
         published="baselines.pct:from_published",
-        published_options={"quirks": "start+origin"},
+        published_options={"quirks": "start+origin+counts"},
         choices=(
             "the release's first model: attention sees no positions, queries and keys share their "
             "weights and are not scaled",
@@ -173,6 +174,8 @@ CARDS: tuple[ModelCard, ...] = (
             "them; in evaluation all, which costs 24 passes",
             "where two of a cloud's variances are equal, axes are any in their plane, and no pose "
             "of the 24 mends that: a solid of revolution gets another answer when turned",
+            "PointNet++ samples and groups in single precision: of 32 turned clouds of 256 to 600 "
+            "points one got logits off by more than 10⁻⁴ of the largest, by 0.006",
         ),
         deviations=(
             "logits of all poses are averaged. The release blends the 24 clouds into one: their "

@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from baselines.points import as_weights
 from partialbench import registry
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
@@ -51,7 +52,9 @@ class Backbone(nn.Module):
         Raises:
             InputError: of a network that predicts a pose. It would be that of the frame.
         """
-        output = as_prediction(self.network(points), len(points), self.num_classes)
+        output = as_prediction(
+            self.network(as_weights(points, self)), len(points), self.num_classes
+        )
         if output.pose_logits is not None:
             raise InputError(
                 f"backbone {self.name!r} predicts a pose, which in a canonical frame is not the "

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from baselines.canonical import Backbone
 from baselines.dgcnn import SLOPE
-from baselines.points import full_precision, normalise
+from baselines.points import as_weights, full_precision, normalise
 from baselines.published import tensors
 from baselines.released_backbones import TNetDGCNN
 from baselines.shared_mlp import NormLinear, activated
@@ -132,7 +132,7 @@ class CanonicalPCA24(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        canonical = principal_frame(normalise(points, radius=1.0))
+        canonical = as_weights(principal_frame(normalise(points, radius=1.0)), self)
         if self.training:
             which = torch.randint(POSES, (len(points),), device=points.device)
             return self.backbone(self.pose(canonical, which)[0])
@@ -145,7 +145,7 @@ class CanonicalPCA24(nn.Module):
         return Prediction(total / POSES if self.selector is None else total)
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict → ours with ``backbone=released`` and ``pooling=blend``.
 
     Its trunk's ``bn1`` … ``bn5`` are never used.

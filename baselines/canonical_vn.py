@@ -143,7 +143,7 @@ class CanonicalVN(nn.Module):
         return output._replace(penalty=penalty)
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict with its PointNet → ours with ``backbone=released``."""
     net = "canonicalizer.canonicalization_network"
     prefixes = {f"{net}.bn1.bn": "frame.norm.norm"}

@@ -7,7 +7,6 @@ WangYueFt/dgcnn@f765b46, pytorch.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -85,7 +84,7 @@ class DGCNN(nn.Module):
         return Prediction(self.head(pooled))
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """WangYueFt's PyTorch state dict → ours.
 
     Its ``conv1`` … ``conv5`` are (convolution, batch norm, …) sequences whose norms it lists a

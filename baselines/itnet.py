@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from baselines.pointnet import TransformNet
 from baselines.pointnet2 import PointNet2
-from baselines.points import normalise
+from baselines.points import as_weights, normalise
 from partialbench.benchmark.prediction import Prediction
 
 
@@ -55,7 +55,7 @@ class ITNetPointNet2(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        points = normalise(points)
+        points = as_weights(normalise(points), self)
         # The pose moves every point, and neighbourhoods change with it: no half precision here.
         with torch.autocast(points.device.type, enabled=False):
             R, t = self.pose(points)

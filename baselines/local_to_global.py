@@ -348,7 +348,7 @@ class LocalToGlobal(nn.Module):
         return Prediction(self.head(torch.cat([x.amax(dim=1), x.mean(dim=1)], dim=-1)))
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict → ours."""
     prefixes = {"psa": "trunk.attention", "linear1": "head.0", "bn6": "head.1"}
     prefixes |= {"linear2": "head.4", "bn7": "head.5", "linear3": "head.8"}

@@ -7,7 +7,6 @@ Source: Guo et al., PCT: Point Cloud Transformer, CVM 2021; Strawberry-Eat-Mango
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -94,7 +93,7 @@ class PCT(nn.Module):
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
         points = normalise(points, radius=1.0)
         x = activated(self.embed, points)
-        counts = num_anchors(points.shape[1], ANCHORS)
+        counts = num_anchors(points.shape[1], ANCHORS, self.quirks)
         chosen = anchors(points, counts[0], self.quirks)
         kept, centres = gather(points, chosen), gather(x, chosen)
         for level, count in zip(self.levels, counts, strict=True):
@@ -112,13 +111,13 @@ class PCT(nn.Module):
         return Prediction(self.head(x))
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The state dict of the release's ``model.py`` → ours.
 
     Raises:
         InputError: keys with weights other than the queries', which the release shares.
     """
-    state = {name.removeprefix("module."): torch.as_tensor(v) for name, v in state.items()}
+    state = dict(state)
     prefixes = {"linear1": "head.0", "bn6": "head.1", "linear2": "head.4", "bn7": "head.5"}
     prefixes |= {"linear3": "head.8", "conv_fuse.0": "join.linear", "conv_fuse.1": "join.norm"}
     layers: dict[str, str] = {}

@@ -7,7 +7,6 @@ ma-xu/pointMLP-pytorch@1ab7f04.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -126,7 +125,7 @@ class PointMLP(nn.Module):
         # Neighbours are told apart by differences of these alone: no half precision here.
         with torch.autocast(points.device.type, enabled=False):
             x = activated([self.embed], points)
-        counts = num_anchors(points.shape[1], ANCHORS)
+        counts = num_anchors(points.shape[1], ANCHORS, self.quirks)
         chosen = anchors(points, counts[0], self.quirks)
         kept, centres = gather(points, chosen), gather(x, chosen)
         for stage, count in zip(self.stages, counts, strict=True):
@@ -138,13 +137,13 @@ class PointMLP(nn.Module):
         return Prediction(self.head(x.amax(dim=1)))
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict, without a positional embedding of its own, → ours."""
     renamed = {}
     for name, value in state.items():
         for theirs, ours in (("affine_alpha", "alpha"), ("affine_beta", "beta")):
             if name.endswith(theirs):
-                name, value = name.removesuffix(theirs) + ours, torch.as_tensor(value).flatten()
+                name, value = name.removesuffix(theirs) + ours, value.flatten()
         renamed[name] = value
     prefixes = {"embedding.net.0": "embed.linear", "embedding.net.1": "embed.norm"}
     prefixes |= {f"classifier.{i}": f"head.{i}" for i in (0, 1, 4, 5, 8)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from baselines.points import full_precision, normalise
+from baselines.points import as_weights, full_precision, normalise
 from baselines.shared_mlp import SharedMLP, head
 from partialbench.benchmark.prediction import Prediction
 
@@ -70,7 +70,7 @@ class PointNet(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K) and the penalty."""
-        points = normalise(points)
+        points = as_weights(normalise(points), self)
         turn = self.input_transform(points).view(-1, 3, 3)
         with torch.autocast(points.device.type, enabled=False):
             turned = points @ turn

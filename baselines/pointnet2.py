@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -16,8 +15,8 @@ from torch import Tensor, nn
 
 from baselines.balls import Balls, without_padding
 from baselines.edges import edge_moments, edge_relu
-from baselines.points import ball_query, farthest_points, gather, normalise
-from baselines.published import tensors
+from baselines.points import as_weights, ball_query, farthest_points, gather, normalise
+from baselines.published import chosen_quirks, tensors
 from baselines.shared_mlp import Normed, SharedMLP, head
 from partialbench.benchmark.prediction import Prediction
 
@@ -50,14 +49,18 @@ MSG = (
 CENTRES = (512, 128)
 """Points sampled at the two levels, of clouds of 1,024 points or more."""
 PUBLISHED_POINTS = 1024
+QUIRKS = {"centres": "512 and 128 points are sampled of any cloud, of a small one some again"}
+"""What the release does that the row does not."""
 
 
-def num_centres(points: int) -> tuple[int, int]:
+def num_centres(points: int, quirks: frozenset[str] = frozenset()) -> tuple[int, int]:
     """How many centres the two levels sample from a cloud of so many points.
 
     Smaller clouds than the published 1,024 keep the published shares, a half and an eighth: more
     centres than points would sample the same points again, at the published cost.
     """
+    if "centres" in quirks:
+        return CENTRES
     share = min(points, PUBLISHED_POINTS) / PUBLISHED_POINTS
     first, second = (max(1, round(share * centres)) for centres in CENTRES)
     return first, second
@@ -156,6 +159,7 @@ class PointNet2(nn.Module):
         use_xyz: whether any layer sees coordinates; without, the classifier is blind to all but
             ``features`` and which points are near which.
         nearest: see ``points.ball_query``.
+        quirks: what of ``QUIRKS`` to do as published, joined by "+".
     """
 
     def __init__(
@@ -166,9 +170,10 @@ class PointNet2(nn.Module):
         features: int = 0,
         use_xyz: bool = True,
         nearest: bool = False,
+        quirks: str = "",
     ) -> None:
         super().__init__()
-        self.use_xyz = use_xyz
+        self.use_xyz, self.quirks = use_xyz, chosen_quirks(quirks, QUIRKS)
         self.sa1 = SetAbstraction(features, levels[0], use_xyz, nearest)
         self.sa2 = SetAbstraction(self.sa1.channels, levels[1], use_xyz, nearest)
         self.sa3 = SharedMLP(self.sa2.channels + 3 * use_xyz, 256, 512, 1024)
@@ -183,7 +188,7 @@ class PointNet2(nn.Module):
             start: (B,) where farthest point sampling starts; index 0 by default.
         """
         # Sampling the samples again would pick their first ones: one call serves both levels.
-        first, second = num_centres(xyz.shape[1])
+        first, second = num_centres(xyz.shape[1], self.quirks)
         centres1 = gather(xyz, farthest_points(xyz, first, start))
         centres2 = centres1[:, :second]
         x = self.sa1(xyz, features, centres1)
@@ -194,26 +199,26 @@ class PointNet2(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        return Prediction(self.classify(normalise(points)))
+        return Prediction(self.classify(as_weights(normalise(points), self)))
 
 
-def pointnet2_ssg(num_classes: int) -> PointNet2:
+def pointnet2_ssg(num_classes: int, quirks: str = "") -> PointNet2:
     """Single-scale grouping, dropout 0.5 and 0.5 (charlesq34's; yanx27's is 0.4 and 0.4)."""
-    return PointNet2(num_classes, SSG, (0.5, 0.5))
+    return PointNet2(num_classes, SSG, (0.5, 0.5), quirks=quirks)
 
 
-def pointnet2_msg(num_classes: int) -> PointNet2:
+def pointnet2_msg(num_classes: int, quirks: str = "") -> PointNet2:
     """Multi-scale grouping, dropout 0.6 and 0.6 (charlesq34's; yanx27's is 0.4 and 0.5)."""
-    return PointNet2(num_classes, MSG, (0.6, 0.6))
+    return PointNet2(num_classes, MSG, (0.6, 0.6), quirks=quirks)
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """yanx27's PyTorch state dict (SSG or MSG, without normals) → ours.
 
     Its multi-scale layers take [features, coordinates], ours the other order as its single-scale
     ones do.
     """
-    state = {name.removeprefix("module."): torch.as_tensor(v) for name, v in state.items()}
+    state = dict(state)
     prefixes = {"fc1": "head.0", "bn1": "head.1", "fc2": "head.4", "bn2": "head.5", "fc3": "head.8"}
     for i in range(3):
         prefixes |= {f"sa3.mlp_convs.{i}": f"sa3.{i}.linear", f"sa3.mlp_bns.{i}": f"sa3.{i}.norm"}

@@ -7,23 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from baselines.anchors import QUIRKS as SAMPLING_QUIRKS
-from baselines.anchors import anchors, num_anchors
+from baselines.anchors import anchors
 from baselines.balls import without_padding
 from baselines.pointnet2 import GroupLinear
-from baselines.points import ball_query, gather, normalise
+from baselines.points import as_weights, ball_query, gather, normalise
 from baselines.published import chosen_quirks, tensors
 from baselines.shared_mlp import NormLinear, SharedMLP
 from partialbench.benchmark.prediction import Prediction
 
-ANCHORS = (512, 256, 128, 64)
-"""Of clouds of 1,024 points."""
 RADIUS, GROWTH, COUNT = 0.15, 1.5, 32
 QUIRKS = {
     "start": SAMPLING_QUIRKS["start"],
@@ -89,9 +86,9 @@ class PointNeXt(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        points = normalise(points, radius=1.0)
+        points = as_weights(normalise(points, radius=1.0), self)
         x = self.embed(points)
-        counts = num_anchors(points.shape[1], ANCHORS)
+        counts = [max(1, points.shape[1] >> i) for i in range(1, 1 + len(self.levels))]
         chosen = anchors(points, counts[0], self.quirks)
         centres, own = gather(points, chosen), gather(x, chosen)
         for level, count in zip(self.levels, counts, strict=True):
@@ -102,7 +99,7 @@ class PointNeXt(nn.Module):
         return Prediction(self.head(self.last.max(torch.cat([points.to(x.dtype), x], dim=-1))))
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict of a classifier of three input channels → ours."""
     prefixes = {"encoder.encoder.0.0.convs.0.0": "embed"}
     for i in range(4):

@@ -12,7 +12,7 @@ from functools import wraps
 from typing import ParamSpec, TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from partialbench.errors import InputError
 
@@ -72,6 +72,16 @@ def normalise(points: Tensor, radius: float = RADIUS) -> Tensor:
     centred = (points.double() - points.double().mean(dim=1, keepdim=True)).to(points.dtype)
     largest = torch.linalg.vector_norm(centred, dim=-1).amax(dim=1)
     return centred * (radius / largest.clamp_min(1e-12))[:, None, None]
+
+
+def as_weights(points: Tensor, module: nn.Module) -> Tensor:
+    """Normalised clouds in the precision of the module's weights, full or double.
+
+    Clouds come as they are stored, in NumPy's double precision as often as not; it is used up to
+    their normalisation, where digits are lost, and not in layers of single precision.
+    """
+    dtype = next((p.dtype for p in module.parameters()), points.dtype)
+    return points.to(torch.promote_types(dtype, torch.float32))
 
 
 @_geometry

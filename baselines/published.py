@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
-import torch
 from torch import Tensor, nn
 
 from partialbench.errors import InputError
@@ -29,7 +27,7 @@ def chosen_quirks(names: str, known: Iterable[str]) -> frozenset[str]:
 
 
 def tensors(
-    state: Mapping[str, Any],
+    state: Mapping[str, Tensor],
     model: nn.Module,
     prefixes: Mapping[str, str],
     ignored: tuple[str, ...] = (),
@@ -37,8 +35,7 @@ def tensors(
     """Renames a published state and brings every tensor into our shape.
 
     Args:
-        state: published names → arrays (numpy or torch). A leading ``module.``, left by
-            ``nn.DataParallel``, is dropped.
+        state: published names → tensors, as ``registry.load_published`` reads them.
         model: ours, whose ``state_dict`` says the names and shapes wanted. A 1×1 convolution's
             trailing ones are dropped where ours is a linear layer.
         prefixes: published prefix → ours, for whole layers (``conv1.0`` → ``convs.0.linear``).
@@ -49,15 +46,13 @@ def tensors(
     """
     wanted = model.state_dict()
     converted: dict[str, Tensor] = {}
-    for name, value in state.items():
-        name = name.removeprefix("module.")
+    for name, tensor in state.items():
         if name.startswith(ignored or ("\0",)):
             continue
         layer, _, leaf = name.rpartition(".")
         ours = f"{prefixes.get(layer, layer)}.{leaf}"
         if ours not in wanted:
             raise InputError(f"the published state has {name!r}, which this model has no place for")
-        tensor = torch.as_tensor(value)
         shape = wanted[ours].shape
         if tensor.numel() != shape.numel() or tensor.shape[: len(shape)] != shape:
             raise InputError(

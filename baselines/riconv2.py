@@ -271,7 +271,7 @@ def with_normals(num_classes: int, **options: Any) -> RIConv2:
     return RIConv2(num_classes, normals=True, **options)
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict → ours."""
     prefixes = {"fc1": "head.0", "bn1": "head.1", "fc2": "head.4", "bn2": "head.5", "fc3": "head.8"}
     for i in range(5):

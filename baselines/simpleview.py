@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import torch
@@ -134,7 +133,7 @@ class SimpleView(nn.Module):
         return Prediction(self.head(features.view(len(points), -1)))
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """princeton-vl/SimpleView's ``MVModel`` (resnet18, 16 features) → our state."""
     prefixes = {
         "final_fc.model.0.bn": "feature_norm",

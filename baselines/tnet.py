@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from baselines.pointnet import TransformNet
 from baselines.pointnet2 import PointNet2
-from baselines.points import normalise
+from baselines.points import as_weights, normalise
 from partialbench.benchmark.prediction import Prediction
 
 
@@ -28,7 +28,7 @@ class TNetPointNet2(nn.Module):
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame → logits (B,K)."""
-        points = normalise(points)
+        points = as_weights(normalise(points), self)
         # The matrix moves every point, and neighbourhoods change with it: no half precision here.
         with torch.autocast(points.device.type, enabled=False):
             turned = points @ self.transform(points).view(-1, 3, 3)

@@ -6,7 +6,6 @@ Source: Deng et al., Vector Neurons, ICCV 2021; FlyingGiraffe/vnn@f3197e2.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -80,7 +79,7 @@ def vector_layer(theirs: str, ours: str) -> dict[str, str]:
     return {f"{theirs}.{a}": f"{ours}.{b}" for a, b in parts.items()}
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict, of mean pooling over neighbours, → ours."""
     prefixes = vector_layer("conv5", "embed")
     for i in range(4):

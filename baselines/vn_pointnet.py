@@ -6,7 +6,6 @@ Source: Deng et al., Vector Neurons, ICCV 2021; FlyingGiraffe/vnn@f3197e2.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -93,7 +92,7 @@ class VNPointNet(nn.Module):
         return Prediction(self.head(torch.cat(pooled, dim=-1)))
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The release's state dict, of mean pooling over neighbours, → ours."""
     prefixes = {
         "feat.conv3.map_to_feat": "third",

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
-import torch
 from torch import Tensor, nn
 
 from baselines.steerable import GatedBlock
@@ -37,30 +35,34 @@ _DENSE = {
 }
 
 
-def from_published(state: Mapping[str, Any], model: nn.Module) -> dict[str, Tensor]:
+def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:
     """The released model's state dict in our names and basis.
 
     Kernels change their basis (``baselines.steerable.published``); the first linear layer of each
     head reads pooled vectors, so its columns do too. The rest keeps its numbers.
 
     Raises:
-        InputError: an entry is missing or of another shape.
+        InputError: an entry is unknown, missing or of another shape.
     """
     if not isinstance(model, PAPNet):
         raise InputError(f"expected a PAPNet, got {type(model).__name__}")
-    # nn.DataParallel, under which the release trains, puts "module." before every name.
-    published = {name.removeprefix("module."): value for name, value in state.items()}
+    for name in state:
+        if name.partition(".")[0] not in _BLOCKS | _DENSE:
+            raise InputError(f"the published state has {name!r}, which this model has no place for")
     ours: dict[str, Tensor] = {}
     for theirs, name in _BLOCKS.items():
         block = model.get_submodule(name)
         assert isinstance(block, GatedBlock)
-        for key, value in gated_block_state(published, block, f"{theirs}.").items():
+        for key, value in gated_block_state(state, block, f"{theirs}.").items():
             ours[f"{name}.{key}"] = value
     for theirs, name in _DENSE.items():
         for key, target in model.get_submodule(name).state_dict().items():
-            if f"{theirs}.{key}" not in published:
+            if f"{theirs}.{key}" not in state:
+                if key == "num_batches_tracked":  # of no use but to training that goes on
+                    ours[f"{name}.{key}"] = target
+                    continue
                 raise InputError(f"the published state has no '{theirs}.{key}'")
-            value = torch.as_tensor(published[f"{theirs}.{key}"])
+            value = state[f"{theirs}.{key}"]
             if value.shape != target.shape:
                 raise InputError(
                     f"the published '{theirs}.{key}' is {tuple(value.shape)}, expected "

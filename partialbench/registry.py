@@ -18,7 +18,7 @@ from partialbench import options as option_types
 from partialbench.errors import InputError
 
 if TYPE_CHECKING:
-    from torch import nn
+    from torch import Tensor, nn
 
 
 @dataclass(frozen=True)
@@ -313,18 +313,53 @@ def options_of(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
 def load_published(name: str, state: Mapping[str, Any], num_classes: int) -> nn.Module:
     """A model in evaluation mode with the weights of its published implementation.
 
-    It computes what that implementation did, by the card's ``published_options``.
+    It computes what that implementation did, by the card's ``published_options``, of clouds that
+    are centred and scaled first, as its data is before it comes to the network.
 
     Args:
-        state: published parameter names → arrays (numpy or torch).
+        state: published parameter names → arrays (numpy or torch, of any precision), or a
+            checkpoint that has them in one of ``PUBLISHED_UNDER``. Counters of batches may be
+            missing.
+
+    Raises:
+        InputError: naming the entry that is unknown, missing, no array or of another shape.
     """
     entry = card(name)
     if not entry.published:
         raise InputError(f"{name!r} has no published weights we can convert (reference: "
                          f"{entry.reference or 'none'})")  # fmt: skip
+    weights = _published_weights(state)
     model = create(name, num_classes, **entry.published_options)
-    model.load_state_dict(load(entry.published)(state, model))
+    model.load_state_dict(load(entry.published)(weights, model))
     return model.eval()
+
+
+PUBLISHED_UNDER = ("model_state_dict", "state_dict", "model_state", "model", "net")
+"""Where training scripts keep the weights in a checkpoint that has more."""
+
+
+def _published_weights(state: Any) -> dict[str, Tensor]:
+    """The weights of a published checkpoint by name, without ``nn.DataParallel``'s prefix."""
+    import torch
+
+    if not isinstance(state, Mapping):
+        raise InputError(
+            f"published weights are a mapping of names to arrays, got a {type(state).__name__}; "
+            f"of a file it is what torch.load returns, of a module its state_dict()"
+        )
+    for key in PUBLISHED_UNDER:
+        if isinstance(state.get(key), Mapping):
+            return _published_weights(state[key])
+    weights = {}
+    for name, value in state.items():
+        try:
+            weights[str(name).removeprefix("module.")] = torch.as_tensor(value)
+        except (TypeError, ValueError, RuntimeError):
+            raise InputError(
+                f"the published {name!r} is a {type(value).__name__}, expected an array; the "
+                f"weights of a checkpoint are looked for in {', '.join(PUBLISHED_UNDER)}"
+            ) from None
+    return weights
 
 
 def occluder_entry(name: str) -> str:

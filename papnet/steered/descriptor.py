@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.camera import camera_ray
-from baselines.points import full_precision, normalise
+from baselines.points import as_weights, full_precision, normalise
 from baselines.processes import pooled
 from papnet.steered.encoder import Encoder
 from papnet.steered.geometry import geometry, num_fields
@@ -85,7 +85,7 @@ class Describe(nn.Module):
             InputError: for clouds of another shape or of too few points, and where the ray is seen
                 for centred ones, which have none.
         """
-        observed, points = points, normalise(points)
+        observed, points = points, as_weights(normalise(points), self)
         if points.shape[1] <= self.k:
             raise InputError(
                 f"{self.k} neighbours need clouds of at least {self.k + 1} points, "

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from baselines.itnet import ITNetPointNet2
 from baselines.pointnet import PointNet, orthogonality_penalty
+from partialbench import registry
 
 
 class TestPointNet:
@@ -45,3 +46,14 @@ class TestITNet:
         reached = list(model.transform.parameters())[-1].grad
         assert reached is not None
         assert reached.abs().sum() > 0
+
+
+def test_batch_norms_that_decay_stop_where_the_releases_do() -> None:
+    """Their decay is clipped at 0.99."""
+    decays = {
+        name: card.recipe.schedule_options["bn_momentum"]
+        for name, card in registry.cards().items()
+        if "bn_momentum" in card.recipe.schedule_options
+    }
+    assert {"pointnet", "pointnet2-ssg", "itnet-pointnet2"} <= set(decays)
+    assert {decay["floor"] for decay in decays.values()} == {0.01}

@@ -202,3 +202,10 @@ def test_options_of_the_backbone_arrive(clouds: Tensor) -> None:
     for wrong in ({"prior": -1.0}, {"quirks": "blend"}):
         with pytest.raises(InputError):
             registry.create("canonical-vn", 10, **wrong)
+
+
+@torch.no_grad()
+def test_the_blend_of_clouds_in_double_precision_is_taken(clouds: Tensor) -> None:
+    model = CanonicalPCA24(5, "pointnet", pooling="blend").eval()
+    single, double = (model(points).class_logits for points in (clouds, clouds.double()))
+    torch.testing.assert_close(double, single, atol=1e-4 * float(single.abs().max()), rtol=0)

@@ -136,6 +136,15 @@ def test_evaluation_is_deterministic_and_takes_one_cloud(name: str) -> None:
 
 
 @every_model
+def test_clouds_in_double_precision_are_taken(name: str) -> None:
+    """As NumPy makes them; the answer is of the weights' precision and the same."""
+    single, double = (logits(settled(name), points) for points in (few(2), few(2).double()))
+    assert double.dtype == torch.float32
+    scale = float(single.abs().max())
+    torch.testing.assert_close(double, single, atol=1e-4 * scale, rtol=0)
+
+
+@every_model
 def test_other_numbers_of_points_are_taken(name: str) -> None:
     for number in (256, 1024):
         points = clouds()[:2, torch.arange(number) % NUM_POINTS]
