@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from partialbench.benchmark.campaign.file import Campaign, card_of
-from partialbench.benchmark.campaign.jobs import Job, Ledger
+from partialbench.benchmark.campaign.jobs import Condition, Job, Ledger
 from partialbench.benchmark.campaign.status import Status, status
 from partialbench.benchmark.records import declared
 from partialbench.benchmark.records.declared import Declared, State
@@ -45,7 +45,7 @@ def _rows(campaign: Campaign, ledger: Ledger, found: Status) -> Iterator[Declare
             protocol = ledger.protocol_of(job)
             changed = pairs_text(json.loads(job.protocol))
             for test in job.tests:
-                if test.points is None and not test.pose and not test.damage:
+                if test == Condition(test.data):
                     yield Declared(
                         train_data=job.data,
                         test_data=test.data,
