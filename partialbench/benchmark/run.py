@@ -143,6 +143,7 @@ def run_eval(
                 "--recipe": recipe, "--protocol": protocol or protocol_overrides,
                 "--seeds": seeds != 1, "--first-seed": first_seed, "--clouds": clouds,
                 "--precision": precision != FULL_PRECISION, "--restart": restart,
+                "--log": log_to != "csv", "--checkpoint-every": checkpoint_every,
             },
             start_from,
         )  # fmt: skip

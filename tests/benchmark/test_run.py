@@ -281,6 +281,7 @@ def test_weights_are_tested_as_they_were_trained_or_not_at_all(done, data, tmp_p
         ({"recipe": {"lr": 0.1}, "seeds": 3}, "--recipe, --seeds would have no effect"),
         ({"preset": "paper"}, "by the preset 'smoke' and is tested by it, not by 'paper'"),
         ({"precision": "bf16-mixed"}, "--precision would have no effect"),
+        ({"log_to": "tensorboard", "checkpoint_every": 5}, "--log, --checkpoint-every would have"),
     ):
         with pytest.raises(InputError, match=message):
             run_eval(f"{MODELS}:Posed", data, **same, **other)
