@@ -254,6 +254,8 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"test_points": [1.5]}, "test_points must be a whole number, got 1.5"),
         ({"test_data": 3}, "a data folder must be a path"),
         ({"preset": None}, "no preset named None; known: board"),
+        ({"preset": ["smoke"]}, r"no preset named \['smoke'\]; did you mean smoke"),
+        ({"protocol": {"num_points": 32}}, "num_points of the protocol is given twice"),
         ({"device": None}, "device must be auto, cpu, cuda or cuda:0 …, got 'None'"),
         ({"clouds": "31"}, "31 clouds are less than one batch"),
         ({"clouds": 31}, "31 clouds are less than one batch"),
