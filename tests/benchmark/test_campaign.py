@@ -17,7 +17,13 @@ from partialbench.benchmark.campaign import run as running
 from partialbench.benchmark.campaign import worker
 from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.file import load
-from partialbench.benchmark.campaign.jobs import FAILURES, all_jobs, from_dict
+from partialbench.benchmark.campaign.jobs import (
+    FAILURES,
+    Failures,
+    all_jobs,
+    failure_key,
+    from_dict,
+)
 from partialbench.benchmark.campaign.status import status
 from partialbench.benchmark.records import declared, results
 from partialbench.benchmark.records.trials import FILE, read_trials
@@ -232,6 +238,43 @@ def test_data_that_were_rendered_by_another_command_are_told(campaign, monkeypat
     campaign.path.write_text(text.replace("--counts 1,1", "--counts 2,1", 1))
     with pytest.raises(InputError, match=r"'pm40 --counts 1,1', .* now has 'pm40 --counts 2,1'"):
         status(load(campaign.path))
+
+
+def test_a_failure_under_another_preset_is_not_this_campaign_s(campaign, tmp_path):
+    """Two files may share a folder of records, and call their data alike."""
+    other = tmp_path / "other.toml"
+    other.write_text(campaign.path.read_text().replace('"smoke"', '"board"'))
+    campaign.results.mkdir()
+    job = all_jobs(campaign)[0]
+    Failures(load(other)).add(failure_key(job), job.title, "the loss became nan")
+    assert status(campaign).failed == []
+    assert [each.title for each in status(load(other)).failed] == [job.title]
+    Failures(campaign).add(failure_key(job), job.title, "out of memory")
+    Failures(load(other)).forget({failure_key(job)})
+    assert Failures(campaign).reasons() == {failure_key(job): "out of memory"}
+    (campaign.results / FAILURES).write_text('{"job": "x"}\n')
+    with pytest.raises(InputError, match=r"not a list of failures: a line lacks .*; delete it"):
+        status(campaign)
+
+
+def test_a_time_limit_ends_a_rendering_too(campaign, in_this_process, monkeypatch):
+    shutil.rmtree(campaign.work / "data" / "toy")
+    waited = []
+
+    own = subprocess.run
+
+    def takes_long(command, timeout=None, **options):
+        if "render" not in command:
+            return own(command, timeout=timeout, **options)
+        waited.append(timeout)
+        time.sleep(timeout)
+        raise subprocess.TimeoutExpired(command, timeout)
+
+    monkeypatch.setattr(running.subprocess, "run", takes_long)
+    with pytest.raises(TimeLimitError, match="the time limit is over; 5 jobs are left"):
+        running.run(campaign, jobs=1, time_limit_s=running.MARGIN_S + 0.5)
+    assert 0 < waited[0] <= 0.5
+    assert in_this_process == []
 
 
 def test_what_names_no_run_of_the_file_is_no_success(campaign, in_this_process):

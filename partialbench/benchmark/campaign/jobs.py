@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from partialbench.benchmark.campaign.file import Campaign, Entry, card_of
@@ -174,20 +173,54 @@ def training_key(job: Job) -> str:
     return json.dumps([job.kind, *job.training])
 
 
-def read_failures(path: Path) -> list[dict[str, Any]]:
-    """The lines of a ``failures.jsonl``; none where there is no such file."""
-    if not path.is_file():
-        return []
-    try:
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"{path} is not a list of failures: {error}; delete it") from error
+class Failures:
+    """The ``failures.jsonl`` of a campaign's records: why jobs failed, by their keys.
 
+    Campaigns that share a folder share the file; of the lines of another preset this one's jobs,
+    which may be called the same, know nothing.
+    """
 
-def write_failures(path: Path, failures: list[dict[str, Any]]) -> None:
-    """Writes the list anew; no file for an empty one."""
-    if failures:
-        lines = "".join(json.dumps(each, sort_keys=True) + "\n" for each in failures)
-        write_atomically(path, lines.encode())
-    else:
-        path.unlink(missing_ok=True)
+    def __init__(self, campaign: Campaign) -> None:
+        self.path, self.preset = campaign.results / FAILURES, campaign.preset
+
+    def reasons(self) -> dict[str, str]:
+        """Key → reason."""
+        return {line["job"]: str(line["reason"]) for line in self._lines() if self._is_own(line)}
+
+    def add(self, key: str, title: str, reason: str) -> None:
+        """In the place of an earlier one of the same key."""
+        line = {"job": key, "title": title, "reason": reason, "preset": self.preset}
+        self._write([*self._without({key}), line])
+
+    def forget(self, keys: Collection[str]) -> None:
+        """So that their jobs are tried again."""
+        self._write(self._without(keys))
+
+    def _without(self, keys: Collection[str]) -> list[dict[str, Any]]:
+        return [line for line in self._lines() if line["job"] not in keys or not self._is_own(line)]
+
+    def _is_own(self, line: Mapping[str, Any]) -> bool:
+        return line.get("preset", self.preset) == self.preset  # earlier ones do not say
+
+    def _lines(self) -> list[dict[str, Any]]:
+        if not self.path.is_file():
+            return []
+        try:
+            lines = [
+                json.loads(line) for line in self.path.read_text(encoding="utf-8").splitlines()
+            ]
+            if not all({"job", "reason"} <= line.keys() for line in lines):
+                raise ValueError("a line lacks its job or its reason")
+            return lines
+        except (ValueError, AttributeError) as error:
+            raise InputError(
+                f"{self.path} is not a list of failures: {error}; delete it"
+            ) from error
+
+    def _write(self, lines: list[dict[str, Any]]) -> None:
+        """Anew; no file for none."""
+        if lines:
+            text = "".join(json.dumps(line, sort_keys=True) + "\n" for line in lines)
+            write_atomically(self.path, text.encode())
+        else:
+            self.path.unlink(missing_ok=True)

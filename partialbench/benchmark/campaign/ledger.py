@@ -10,12 +10,11 @@ from partialbench import user_code
 from partialbench.benchmark.campaign.data import digests
 from partialbench.benchmark.campaign.file import Campaign, card_of
 from partialbench.benchmark.campaign.jobs import (
-    FAILURES,
     Condition,
+    Failures,
     Job,
     failure_key,
     json_text,
-    read_failures,
     training_key,
 )
 from partialbench.benchmark.preflight import FULL_PRECISION
@@ -60,8 +59,7 @@ class Ledger:
             except InputError as error:
                 self.notes.append(str(error))
         self._tried = {_of_trial(trial) for trial in read_trials(campaign.results / FILE)}
-        self.failures = read_failures(campaign.results / FAILURES)
-        self._failed = {failure["job"]: str(failure["reason"]) for failure in self.failures}
+        self._failed = Failures(campaign).reasons()
 
     def is_done(self, job: Job) -> bool:
         """Whether every test of the job has its record (a trial: its line)."""

@@ -18,12 +18,17 @@ from dataclasses import replace
 from typing import Any
 
 from partialbench import registry
-from partialbench.benchmark.campaign import jobs as job_files
 from partialbench.benchmark.campaign.choice import Choice, choose
 from partialbench.benchmark.campaign.data import digests, is_rendered
 from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.file import Campaign, DataSet
-from partialbench.benchmark.campaign.jobs import FAILURES, Job
+from partialbench.benchmark.campaign.jobs import (
+    Failures,
+    Job,
+    all_jobs,
+    failure_key,
+    training_key,
+)
 from partialbench.benchmark.campaign.ledger import Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
 from partialbench.benchmark.campaign.worker import (
@@ -94,14 +99,9 @@ def run(
     with sole_user(campaign.work, "working on", "give it a folder of its own"):
         if retry_failed:
             # What is left out keeps its record: it is not tried now.
-            failures = campaign.results / FAILURES
-            tried = {
-                key for job in job_files.all_jobs(campaign)
-                if choice.has(job)
-                for key in (job_files.failure_key(job), job_files.training_key(job))
-            }  # fmt: skip
-            kept = [f for f in job_files.read_failures(failures) if f["job"] not in tried]
-            job_files.write_failures(failures, kept)
+            tried = filter(choice.has, all_jobs(campaign))
+            keys = {key for job in tried for key in (failure_key(job), training_key(job))}
+            Failures(campaign).forget(keys)
         runner = _Runner(campaign, choice, device, deadline, say)
         try:
             with _executor(scheduler, jobs, device) as (executor, width):
@@ -180,10 +180,11 @@ class _Runner:
         told = {name for name in ledger.remembered if not data_sets[name].missing}
         needed = {name for job in filter(self.wanted, state.missing) for name in job.data_sets}
         needed |= {n for job in filter(self.wanted, state.done) for n in job.data_sets if n in told}
-        for name in self.campaign.data:
+        for name in data_sets:
             if name in needed and not self.is_over():
                 try:
-                    _render(self.campaign.data[name], workers, scheduler, self.say)
+                    left = None if self.deadline is None else self.deadline - time.monotonic()
+                    _render(data_sets[name], workers, scheduler, self.say, left)
                 except PartialbenchError as error:
                     # What can be trained without it is.
                     self.unrendered[name] = str(error)
@@ -281,17 +282,14 @@ class _Runner:
                 f"{job.title}: {answer['reason']} ({os.strerror(errno.ENOSPC)})"
             )
         diverged = answer.get("kind") == DIVERGED
-        key = job_files.training_key(job) if diverged else job_files.failure_key(job)
+        key = training_key(job) if diverged else failure_key(job)
         if answer.get("kind") == KILLED and key not in self.killed:
             # By a person, or for the memory of another program: no fault of the job's, once.
             self.killed.add(key)
             self.say(f"once more, from its saved state: {job.title}: {answer['reason']}")
             return False
         self.say(f"failed: {job.title}: {answer['reason']}")
-        path = self.campaign.results / FAILURES
-        failures = [f for f in job_files.read_failures(path) if f["job"] != key]
-        failures.append({"job": key, "title": job.title, "reason": answer["reason"]})
-        job_files.write_failures(path, failures)
+        Failures(self.campaign).add(key, job.title, answer["reason"])
         return False
 
     def _write_running(self) -> None:
@@ -332,8 +330,14 @@ def _executor(
         yield threads, width
 
 
-def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[str], None]) -> None:
-    """Makes a data folder, or goes on with it, and holds it against its declared digests."""
+def _render(
+    data: DataSet, workers: int, scheduler: str | None, say: Callable[[str], None],
+    seconds: float | None = None,
+) -> None:  # fmt: skip
+    """Makes a data folder, or goes on with it, and holds it against its declared digests.
+
+    Where the time is over before, what is done of it stays, and the next run goes on with it.
+    """
     if is_rendered(data):
         digests(data)
         return
@@ -343,7 +347,11 @@ def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[s
         sys.executable, "-P", "-m", "partialbench.cli", "render", *data.render,
         "--out", str(data.folder), *where,
     ]  # fmt: skip
-    done = subprocess.run(command, stdout=subprocess.PIPE)  # its bar and errors are the user's
+    try:  # its bar and errors are the user's
+        done = subprocess.run(command, stdout=subprocess.PIPE, timeout=seconds)
+    except subprocess.TimeoutExpired:
+        say(f"stopped: rendering {data.name}; what is done of it stays")
+        return
     if done.returncode:
         raise PartialbenchError(
             f"the data set {data.name!r} could not be rendered (status {done.returncode}): "
