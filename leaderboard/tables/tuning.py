@@ -97,7 +97,7 @@ def _layout(name: str, trials: list[Trial], titles: dict[str, str]) -> Layout:
     return Layout(
         f"Tuning {name}",
         "Accuracy (%) on the validation split after a training with each recipe, by "
-        "`partialbench tune`; the test split was not opened.",
+        "'partialbench tune'; the test split was not opened.",
         ["model", "clouds seen", *(recipe or AS_IT_IS for recipe in recipes), "best"],
         rows,
     )
