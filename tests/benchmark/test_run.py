@@ -365,7 +365,7 @@ def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(
     assert "has changed since the training" in caplog.text
     train(first_seed=1)
     (problem,) = problems(Path("out"))
-    assert "seeds of one row, edited_model:Mine" in problem
+    assert "of one row, edited_model:Mine" in problem
 
 
 def test_a_test_set_without_a_shared_class_is_refused(data, tmp_path):
