@@ -59,7 +59,7 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
             wrong.append(str(error))
         if recompute:
             wrong += [f"{path}: {fault}" for fault in consistency.registry_faults(result)]
-    wrong += [*_same_runs(found), *_unlike_seeds(found), *_weights(found), *_unlike_data(found)]
+    wrong += [*_same_runs(found), *_unlike_trainings(found), *_weights(found), *_unlike_data(found)]
     wrong += _truths(folder, found)
     wrong += [
         f"{path} belongs to no record; delete it" for path in predictions if path.name not in named
@@ -88,14 +88,16 @@ def _same_runs(found: Found) -> Iterator[str]:
             yield results.duplicate_message(path, other, result)
 
 
-def _unlike_seeds(found: Found) -> Iterator[str]:
-    """Seeds of one row are trainings of one thing."""
+def _unlike_trainings(found: Found) -> Iterator[str]:
+    """Seeds and milestones of one row are trainings of one thing, whatever they are tested on."""
     first: dict[tuple[object, ...], tuple[Path, Result]] = {}
     for path, result in found.items():
-        other, before = first.setdefault((result.row, *result.column), (path, result))
+        train = result.train_data
+        row = (result.row, train.id, train.setting, train.digest, result.protocol_digest)
+        other, before = first.setdefault(row, (path, result))
         if before.model_code != result.model_code:
             yield (
-                f"{path} and {other} are seeds of one row, {result.row}, but the model's file was "
+                f"{path} and {other} are of one row, {result.row}, but the model's file was "
                 f"another (SHA-256 {result.model_code[:12]}, {before.model_code[:12]}); train both "
                 f"with one, or give the other a name of its own"
             )
@@ -111,7 +113,7 @@ def _unlike_seeds(found: Found) -> Iterator[str]:
         ]
         if unlike:
             yield (
-                f"{path} and {other} are seeds of one row, {result.row}, but differ in "
+                f"{path} and {other} are of one row, {result.row}, but differ in "
                 f"{', '.join(unlike)}; train both alike"
             )
 

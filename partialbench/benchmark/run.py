@@ -130,6 +130,10 @@ def run_eval(
     tests = asked.read(data, test_data, test_grid, test_points, test_poses, test_damages)
     options = given.mapping(options, "options")
     recipe, protocol = given.mapping(recipe, "recipe"), given.mapping(protocol, "protocol")
+    if twice := sorted(protocol.keys() & protocol_overrides.keys()):
+        raise InputError(
+            f"{', '.join(twice)} of the protocol is given twice, by itself and in protocol="
+        )
     model = user_code.named(model)
     preflight.check(
         model, data=tests.paths, results=results_folder, device=device, precision=precision,
@@ -143,6 +147,7 @@ def run_eval(
                 "--recipe": recipe, "--protocol": protocol or protocol_overrides,
                 "--seeds": seeds != 1, "--first-seed": first_seed, "--clouds": clouds,
                 "--precision": precision != FULL_PRECISION, "--restart": restart,
+                "--log": log_to != "csv", "--checkpoint-every": checkpoint_every,
             },
             start_from,
         )  # fmt: skip

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from partialbench import user_code
+from partialbench import given, user_code
 from partialbench.benchmark import models, preflight
 from partialbench.benchmark.environment import precision_of
 from partialbench.benchmark.fabric import make_fabric
@@ -70,10 +70,13 @@ def tune(
         InputError: no trials, a protocol without a validation split, or anything about the
             arguments or files.
     """
+    tries = [given.mapping(one, "a recipe to try") for one in given.several(tries, "tries")]
     if not tries:
         raise InputError("nothing to try: give at least one recipe, e.g. --try lr=0.001")
-    results_folder = Path(results_folder)
-    runs_folder = results_folder / "runs" if runs_folder is None else Path(runs_folder)
+    results_folder = given.path(results_folder, "the folder of the results")
+    runs_folder = given.path(runs_folder or results_folder / "runs", "the folder of the runs")
+    data, seed = given.path(data, "a data folder"), given.whole_number(seed, "seed", 0)
+    options, protocol = given.mapping(options, "options"), given.mapping(protocol, "protocol")
     model = user_code.named(model)
     preflight.check(
         model, data=[data], results=results_folder, device=device, precision=precision,
@@ -82,13 +85,13 @@ def tune(
     fabric = make_fabric(device, precision)
     if fabric.device.type == "cpu":
         keep_freed_memory()
-    followed = protocols.protocol(preset, **(protocol or {}))
+    followed = protocols.protocol(preset, **protocol)
     if followed.validation_fraction == 0:
         raise InputError("validation_fraction is 0: there is nothing to choose on")
     train_set = ShardDataset(data, "train", followed.num_points)
     *_, goal = milestones_of(followed, None if clouds is None else [clouds])
     own = recipes.of_protocol(models.card_of(model), followed)
-    chosen = models.chosen_options(model, options or {})
+    chosen = models.chosen_options(model, options)
     start = None if start_from is None else finetune.load(start_from, model)
     origin, bits = None if start is None else start.origin, precision_of(fabric)
     tasks, lengths = [], []  # all are checked before the first is trained

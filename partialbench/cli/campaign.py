@@ -10,6 +10,7 @@ import typer
 
 from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, ended_as_by_ctrl_c, print_result, stderr
+from partialbench.errors import PartialbenchError
 
 commands = Verbs("Tables")
 campaign = Verbs(help="Every run of a board from one file: what is done, what is missing.")
@@ -78,26 +79,35 @@ def run_missing(
         str | None, typer.Option(help="send trainings to the Dask cluster at this address")
     ] = None,
     retry_failed: Annotated[
-        bool, typer.Option(help="try again what is recorded as failed, of what --only names")
+        bool, typer.Option(help="try again what is recorded as failed, of what is asked for")
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Render and train what is missing, the milestone that is behind first, and make the board.
 
-    Stopped in any way, the same command goes on.
+    Stopped in any way, the same command goes on. Exit status 1 if a job failed.
     """
+    from partialbench.benchmark.campaign.choice import choose
     from partialbench.benchmark.campaign.file import load
+    from partialbench.benchmark.campaign.jobs import FAILURES
     from partialbench.benchmark.campaign.run import run
 
+    board = load(file)
     with continued_by("the same command"), ended_as_by_ctrl_c():
         found = run(
-            load(file), jobs=workers, device=device, only=only or (), up_to=up_to,
+            board, jobs=workers, device=device, only=only or (), up_to=up_to,
             trials=trials,
             time_limit_s=None if time_limit is None else seconds(time_limit),
             scheduler=scheduler, retry_failed=retry_failed,
             say=lambda text: stderr.print(text, markup=False),
         )  # fmt: skip
     print_result(found.as_dict(), as_json, found.as_text())
+    asked = choose(only or (), up_to, trials)
+    if failed := [job.title for job in found.failed if asked.has(job)]:
+        raise PartialbenchError(
+            f"of what was asked for {len(failed)} failed, {failed[0]} first; "
+            f"{board.results / FAILURES} says why, --retry-failed tries again"
+        )
 
 
 def seconds(text: str) -> float:

@@ -11,16 +11,25 @@ import time
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from partialbench.benchmark.campaign import run as running
 from partialbench.benchmark.campaign import worker
 from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.file import load
-from partialbench.benchmark.campaign.jobs import FAILURES, all_jobs, from_dict
+from partialbench.benchmark.campaign.jobs import (
+    FAILURES,
+    Failures,
+    all_jobs,
+    failure_key,
+    from_dict,
+)
 from partialbench.benchmark.campaign.status import status
 from partialbench.benchmark.records import declared, results
 from partialbench.benchmark.records.trials import FILE, read_trials
+from partialbench.benchmark.run import run_eval
 from partialbench.benchmark.training.train import DivergedError
+from partialbench.cli import app
 from partialbench.dataset.lock import sole_user
 from partialbench.errors import InputError, PartialbenchError, TimeLimitError
 from tests.benchmark.memory_clouds import data_folder
@@ -127,6 +136,172 @@ def test_what_it_asks_for_stands_beside_the_records(campaign, in_this_process, m
     assert done <= records
     declare(campaign)
     assert path.read_bytes() == written
+
+
+def test_what_is_trained_and_what_is_wholly_tested_are_told_apart(campaign, in_this_process):
+    running.run(campaign, jobs=1, trials=False)
+    (lost,) = (r for r in results.read_folder(campaign.results)
+               if r.test_data.points == 32 and r.test_data.id == "toy")  # fmt: skip
+    (campaign.results / f"{lost.run_name}{results.SUFFIX}").unlink()
+    found = status(campaign)
+    assert (len(found.trained), len(found.done)) == (4, 3)
+    titles = found.as_dict()
+    assert titles["missing"][0] in titles["trained"]
+    assert titles["missing"][0] not in titles["done"]
+    text = found.as_text()
+    assert "32      2 of 2 trained, 2 wholly tested" in text
+    assert "64      2 of 2 trained, 1 wholly tested" in text
+    assert "64      0 of 1 done" in text  # the trial
+    assert "tests alone of 1 trainings, not counted" in text
+
+
+def test_a_record_without_the_precision_of_its_training_is_of_a_full_one(campaign, in_this_process):
+    running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
+    (path,) = campaign.results.glob(f"*{results.SUFFIX}")
+    record = json.loads(path.read_text())
+    del record["training"]["environment"]["precision"]
+    path.write_text(json.dumps({**record, "record_sha256": results.record_digest(record)}))
+    assert [job.clouds for job in status(campaign).done] == [32]
+
+
+def test_a_fine_tuned_record_is_not_the_training_that_is_asked_for(campaign, in_this_process):
+    running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
+    run_eval(
+        f"{MODELS}:Bare", campaign.work / "data" / "toy", preset="smoke", clouds=64, device="cpu",
+        start_from=campaign.work / "runs", results_folder=campaign.results,
+    )  # fmt: skip
+    assert len(results.read_folder(campaign.results)) == 2
+    assert [job.clouds for job in status(campaign).done] == [32]
+
+
+def test_records_of_a_model_that_was_edited_since_do_not_count(
+    tmp_path, campaign, in_this_process, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "tests" / "benchmark" / "tiny_models.py", "my_own_tiny.py")
+    text = campaign.path.read_text().replace(MODELS, "my_own_tiny")
+    campaign.path.write_text(text)
+    campaign = load(campaign.path)
+    running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
+    assert [job.clouds for job in status(campaign).done] == [32]
+    with open("my_own_tiny.py", "a") as file:
+        file.write("# edited\n")
+    after = status(campaign)
+    assert after.done == []
+    (note,) = after.notes
+    assert "my_own_tiny:Bare before its file was edited" in note
+
+
+def test_what_is_done_is_known_where_the_data_are_not(campaign, in_this_process, monkeypatch):
+    """As in a fresh checkout: else the board would be said to lack all that it has."""
+    running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
+    path = campaign.results / "board.campaign.json"
+    written, toy = path.read_bytes(), campaign.work / "data" / "toy"
+    aside = toy.rename(campaign.work / "aside")
+    found = status(campaign)
+    assert [job.clouds for job in found.done] == [32]
+    assert any("not here are the data of toy" in note for note in found.notes)
+    declare(campaign)
+    assert path.read_bytes() == written
+    # What can be made is made before it is believed: the file may ask for other data by now.
+    asked = []
+
+    def render(data, *_):
+        asked.append(data.name)
+        aside.rename(toy)
+
+    monkeypatch.setattr(running, "_render", render)
+    running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
+    assert asked == ["toy"]
+    # What cannot be made here is done all the same, and does not wait.
+    toy.rename(aside)
+    campaign.path.write_text(campaign.path.read_text().replace("--counts", "--source ${NO_SUCH}"))
+    campaign = load(campaign.path)
+    after = running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
+    assert asked == ["toy"]
+    assert [job.clouds for job in after.done] == [32]
+    assert len(after.waiting) == 4
+
+
+def test_data_that_were_rendered_by_another_command_are_told(campaign, monkeypatch):
+    def makes(command, **_):
+        data_folder(Path(command[command.index("--out") + 1]), points=256)
+        return subprocess.CompletedProcess(command, 0)
+
+    shutil.rmtree(campaign.work / "data" / "toy")
+    monkeypatch.setattr(running.subprocess, "run", makes)
+    running._render(campaign.data["toy"], 1, None, print)
+    assert len(status(campaign).missing) == 5
+    text = campaign.path.read_text()
+    campaign.path.write_text(text.replace("--counts 1,1", "--counts  1,1"))
+    status(load(campaign.path))
+    campaign.path.write_text(text.replace("--counts 1,1", "--counts 2,1", 1))
+    with pytest.raises(InputError, match=r"'pm40 --counts 1,1', .* now has 'pm40 --counts 2,1'"):
+        status(load(campaign.path))
+
+
+def test_a_failure_under_another_preset_is_not_this_campaign_s(campaign, tmp_path):
+    """Two files may share a folder of records, and call their data alike."""
+    other = tmp_path / "other.toml"
+    other.write_text(campaign.path.read_text().replace('"smoke"', '"board"'))
+    campaign.results.mkdir()
+    job = all_jobs(campaign)[0]
+    Failures(load(other)).add(failure_key(job), job.title, "the loss became nan")
+    assert status(campaign).failed == []
+    assert [each.title for each in status(load(other)).failed] == [job.title]
+    Failures(campaign).add(failure_key(job), job.title, "out of memory")
+    Failures(load(other)).forget({failure_key(job)})
+    assert Failures(campaign).reasons() == {failure_key(job): "out of memory"}
+    (campaign.results / FAILURES).write_text('{"job": "x"}\n')
+    with pytest.raises(InputError, match=r"not a list of failures: a line lacks .*; delete it"):
+        status(campaign)
+
+
+def test_a_time_limit_ends_a_rendering_too(campaign, in_this_process, monkeypatch):
+    shutil.rmtree(campaign.work / "data" / "toy")
+    waited = []
+
+    own = subprocess.run
+
+    def takes_long(command, timeout=None, **options):
+        if "render" not in command:
+            return own(command, timeout=timeout, **options)
+        waited.append(timeout)
+        time.sleep(timeout)
+        raise subprocess.TimeoutExpired(command, timeout)
+
+    monkeypatch.setattr(running.subprocess, "run", takes_long)
+    with pytest.raises(TimeLimitError, match="the time limit is over; 5 jobs are left"):
+        running.run(campaign, jobs=1, time_limit_s=running.MARGIN_S + 0.5)
+    assert 0 < waited[0] <= 0.5
+    assert in_this_process == []
+
+
+def test_what_names_no_run_of_the_file_is_no_success(campaign, in_this_process):
+    for options, message in (
+        ({"only": ["*Bare", "*Psed"]}, r"--only '\*Psed' fits no run of .*; known: .*:Posed"),
+        ({"only": ["*@tyo"]}, r"--only '\*@tyo' fits no run of .*; did you mean toy"),
+        ({"up_to": 25}, "--up-to is 25, its first milestone 32"),
+    ):
+        with pytest.raises(InputError, match=message):
+            running.run(campaign, jobs=1, **options)
+    assert in_this_process == []
+
+
+def test_a_command_of_which_a_job_failed_has_failed(campaign, in_this_process, monkeypatch):
+    train = worker._work
+
+    def diverges(job, order, stop):
+        raise DivergedError("the training loss became nan")
+
+    command = ["campaign", "run", str(campaign.path), "--workers", "1", "--up-to", "32", "--json"]
+    monkeypatch.setattr(worker, "_work", diverges)
+    done = CliRunner().invoke(app, [*command, "--only", "*Posed"])
+    assert isinstance(done.exception, PartialbenchError)
+    assert "of what was asked for 1 failed" in str(done.exception)
+    assert len(json.loads(done.stdout)["failed"]) == 2  # its later milestone as well
+    monkeypatch.setattr(worker, "_work", train)
+    assert CliRunner().invoke(app, [*command, "--only", "*Bare"]).exit_code == 0
 
 
 def test_hours_to_go_come_from_recorded_speeds(campaign, in_this_process):

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from partialbench.benchmark.campaign.file import load
-from partialbench.benchmark.campaign.jobs import Condition, Ledger, all_jobs, from_dict
+from partialbench.benchmark.campaign.jobs import Condition, all_jobs, from_dict
+from partialbench.benchmark.campaign.ledger import Ledger
 from partialbench.benchmark.campaign.run import run
 from partialbench.benchmark.testing import damage
 from partialbench.errors import InputError
@@ -94,6 +95,19 @@ def test_an_entry_may_change_the_protocol_and_is_then_another_training(tmp_path)
     assert from_dict(jobs[1].as_dict()) == jobs[1]
 
 
+def test_a_recipe_as_the_model_has_it_is_no_other_training(tmp_path):
+    entry = '[[train]]\nmodels = "pointnet"\ndata = "shapes"\nclouds = 100\nrecipe = {}\n'
+    more = "".join(
+        entry.replace("{}", fields) for fields in ("{lr = 1e-3}", "{lr = 2e-3}", "{lr = 1}")
+    )
+    jobs = [
+        j for j in all_jobs(load(written(tmp_path, SMALL + more)))
+        if j.kind == "train" and (j.model, j.seed, j.clouds) == ("pointnet", 0, 100)
+    ]  # fmt: skip
+    # As rows are named by it: a whole number is the rate that it is trained with.
+    assert [job.recipe for job in jobs] == ["{}", '{"lr": 0.002}', '{"lr": 1.0}']
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -146,6 +160,7 @@ def test_options_that_a_record_would_have_otherwise_are_refused_before_anything_
     for options, message in (
         ("{k = 20}", r"options of dgcnn are \{'k': 20\}; .* they are \{\}: write them so"),
         ('{k = "5"}', "they are {'k': 5}: write them so"),
+        ("{k = 5.0}", "they are {'k': 5}: write them so"),
         ("{kk = 5}", "dgcnn has no option 'kk'; did you mean k"),
     ):
         more = f"[[train]]\nmodels = 'dgcnn'\ndata = 'shapes'\nclouds = 50\noptions = {options}\n"

@@ -12,7 +12,7 @@ from partialbench.benchmark.campaign import worker
 from partialbench.benchmark.campaign.file import load
 from partialbench.benchmark.campaign.jobs import Condition, all_jobs, from_dict
 from partialbench.benchmark.campaign.status import status
-from partialbench.benchmark.records import results
+from partialbench.benchmark.records import declared, results
 from partialbench.dataset import grid
 from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import data_folder
@@ -83,6 +83,14 @@ def test_a_row_is_tested_on_every_cell_and_damage_of_its_file(board, in_this_pro
     assert sorted((r.grid, r.damage) for r in records) == sorted(
         [("", ""), ("", "jitter:1"), ("", "jitter:5"), *((cell, "") for cell in CELLS)]
     )
+
+
+def test_a_cell_is_no_row_that_a_board_could_be_lacking(board, in_this_process):
+    """Said to be one, it would be asked for for ever: its record makes no column."""
+    campaign = load(board)
+    running.run(campaign, jobs=1)
+    (row,) = declared.read_folder(campaign.results)
+    assert (row.test_data, row.state) == ("toy", "done")
 
 
 def test_a_row_that_was_trained_before_is_tested_on_what_is_new_alone(board, in_this_process):

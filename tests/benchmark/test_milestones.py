@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from partialbench.benchmark.protocol import milestones
@@ -15,7 +16,7 @@ COMMON = Recipe(**COMMON_RECIPE)
 @pytest.mark.parametrize(
     ("text", "clouds"),
     [("25000", 25_000), ("100k", 100_000), ("1M", 1_000_000), ("1.6m", 1_600_000), (64, 64),
-     ("6.4K", 6_400), (" 50k ", 50_000)],
+     ("6.4K", 6_400), (" 50k ", 50_000), (np.int64(64), 64)],
 )  # fmt: skip
 def test_a_number_of_clouds_is_read_and_named(text, clouds):
     assert milestones.parse(text) == clouds

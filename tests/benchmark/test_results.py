@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import json
 import shutil
@@ -82,6 +83,18 @@ def test_two_records_of_one_run_are_refused(done, tmp_path):
     shutil.copy(path, folder / f"again-{path.name}")
     with pytest.raises(InputError, match="record the same run"):
         results.read_folder(folder)
+
+
+def test_a_record_of_other_weights_is_not_replaced_without_a_word(done, tmp_path, caplog):
+    folder, result = copy_of(done, tmp_path), done[0][0]
+    predictions = results.read_predictions(folder, result)
+    results.write(folder, result, predictions)
+    assert not caplog.messages
+    results.write(folder, dataclasses.replace(result, weights_sha256="0" * 64), predictions)
+    (said,) = caplog.messages
+    assert (
+        f"was the record of other weights (SHA-256 {result.weights_sha256[:12]}, now 0000" in said
+    )
 
 
 def test_what_is_true_of_a_test_set_is_stored_once(done, tmp_path):

@@ -254,6 +254,8 @@ def test_what_the_user_changes_is_another_row(data, tmp_path):
         ({"test_points": [1.5]}, "test_points must be a whole number, got 1.5"),
         ({"test_data": 3}, "a data folder must be a path"),
         ({"preset": None}, "no preset named None; known: board"),
+        ({"preset": ["smoke"]}, r"no preset named \['smoke'\]; did you mean smoke"),
+        ({"protocol": {"num_points": 32}}, "num_points of the protocol is given twice"),
         ({"device": None}, "device must be auto, cpu, cuda or cuda:0 …, got 'None'"),
         ({"clouds": "31"}, "31 clouds are less than one batch"),
         ({"clouds": 31}, "31 clouds are less than one batch"),
@@ -281,6 +283,7 @@ def test_weights_are_tested_as_they_were_trained_or_not_at_all(done, data, tmp_p
         ({"recipe": {"lr": 0.1}, "seeds": 3}, "--recipe, --seeds would have no effect"),
         ({"preset": "paper"}, "by the preset 'smoke' and is tested by it, not by 'paper'"),
         ({"precision": "bf16-mixed"}, "--precision would have no effect"),
+        ({"log_to": "tensorboard", "checkpoint_every": 5}, "--log, --checkpoint-every would have"),
     ):
         with pytest.raises(InputError, match=message):
             run_eval(f"{MODELS}:Posed", data, **same, **other)
@@ -362,7 +365,7 @@ def test_a_users_model_that_was_edited_is_not_taken_for_the_one_before(
     assert "has changed since the training" in caplog.text
     train(first_seed=1)
     (problem,) = problems(Path("out"))
-    assert "seeds of one row, edited_model:Mine" in problem
+    assert "of one row, edited_model:Mine" in problem
 
 
 def test_a_test_set_without_a_shared_class_is_refused(data, tmp_path):

@@ -115,6 +115,25 @@ def test_what_cannot_be_tuned_is_refused(data, tmp_path, tries, protocol, messag
     assert not (tmp_path / FILE).exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"seed": "0"}, "seed must be a whole number, got '0'"),
+        ({"tries": {"lr": 0.1}}, "tries must be one or a list of them"),
+        ({"tries": ["lr=0.1"]}, "a recipe to try must be a dictionary such as .*, got 'lr=0.1'"),
+        ({"data": 3}, "a data folder must be a path"),
+        ({"results_folder": 3}, "the folder of the results must be a path"),
+        ({"options": "width=8"}, "options must be a dictionary"),
+        ({"protocol": "num_points"}, "protocol must be a dictionary"),
+    ],
+)
+def test_wrong_arguments_are_named(data, tmp_path, arguments, message):
+    given = {"data": data, "tries": [{}], "results_folder": tmp_path, **arguments}
+    with pytest.raises(InputError, match=message):
+        tune("pointnet", **given)
+
+
 def test_the_command_takes_several_fields_a_trial_and_prints_what_it_records(data, tmp_path):
     command = [
         "tune", "--model", MODEL, "--data", str(data), "--results", str(tmp_path),

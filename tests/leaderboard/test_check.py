@@ -24,7 +24,7 @@ from partialbench.benchmark.records.results import PREDICTIONS_SUFFIX, SUFFIX
 from partialbench.benchmark.testing import metrics
 from partialbench.benchmark.testing.run import _card_as_dict
 from partialbench.errors import InputError
-from tests.leaderboard.records import CLASSES, predictions, record
+from tests.leaderboard.records import CLASSES, add, predictions, record
 
 MODEL = "pointnet"
 
@@ -207,6 +207,15 @@ def test_one_training_does_not_count_as_two_seeds(tmp_path):
     text["record_sha256"] = results.record_digest(text)
     path.write_text(json.dumps(text))
     assert "have the same weights under the seeds 1 and 0" in found(tmp_path)
+
+
+@pytest.mark.parametrize("milestone", [100_000, 200_000])
+def test_one_row_is_of_one_version_of_a_model_at_every_milestone(tmp_path, milestone):
+    """Its curve over clouds seen would else join two models."""
+    add(tmp_path, "mine:make", 0.9, model_code="a" * 64)
+    add(tmp_path, "mine:make", 0.9, 1, milestone=milestone, model_code="b" * 64)
+    (wrong,) = problems(tmp_path, recompute=False)
+    assert "are of one row, mine:make, but the model's file was another" in wrong
 
 
 def leaves(value, path=()):

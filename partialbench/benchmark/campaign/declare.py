@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 
 from partialbench.benchmark.campaign.file import Campaign, card_of
-from partialbench.benchmark.campaign.jobs import Job, Ledger
+from partialbench.benchmark.campaign.jobs import Condition, Job
+from partialbench.benchmark.campaign.ledger import Ledger, declared_file
 from partialbench.benchmark.campaign.status import Status, status
 from partialbench.benchmark.records import declared
 from partialbench.benchmark.records.declared import Declared, State
@@ -19,13 +19,8 @@ def declare(campaign: Campaign, ledger: Ledger | None = None) -> Status:
     ledger = ledger or Ledger(campaign)
     found = status(campaign, ledger)
     campaign.results.mkdir(parents=True, exist_ok=True)
-    declared.write(path_of(campaign), _rows(campaign, ledger, found))
+    declared.write(declared_file(campaign), _rows(campaign, ledger, found))
     return found
-
-
-def path_of(campaign: Campaign) -> Path:
-    """Of the file: several campaigns may share a folder of records."""
-    return campaign.results / f"{campaign.path.stem}{declared.SUFFIX}"
 
 
 def _rows(campaign: Campaign, ledger: Ledger, found: Status) -> Iterator[Declared]:
@@ -45,7 +40,7 @@ def _rows(campaign: Campaign, ledger: Ledger, found: Status) -> Iterator[Declare
             protocol = ledger.protocol_of(job)
             changed = pairs_text(json.loads(job.protocol))
             for test in job.tests:
-                if test.points is None and not test.pose and not test.damage:
+                if test == Condition(test.data):
                     yield Declared(
                         train_data=job.data,
                         test_data=test.data,

@@ -75,6 +75,7 @@ class DataSet:
         folder: where it is or will be.
         render: the arguments of ``partialbench render`` but for ``--out``.
         cells: of a grid, the names of its cells; () for a data folder.
+        command: ``render`` as the file has it, variables by their names.
         digests: split → digest that its content must have; {} where the file declares none.
         made_by: what the file says made those, "" for nothing.
         missing: names of environment variables in ``render`` that are not set.
@@ -87,6 +88,12 @@ class DataSet:
     made_by: str = ""
     missing: tuple[str, ...] = ()
     cells: tuple[str, ...] = ()
+    command: str = ""
+
+    @property
+    def note(self) -> Path:
+        """Beside the folder: the command that it was made by."""
+        return self.folder.with_name(f"{self.name}.render")
 
     @property
     def folders(self) -> dict[str, Path]:
@@ -225,7 +232,7 @@ class _Reader:
                 )
         return DataSet(
             name, work / "data" / name, arguments, dict(digests),
-            self.text(fields.get("made_by", ""), "made_by"), missing, cells,
+            self.text(fields.get("made_by", ""), "made_by"), missing, cells, command,
         )  # fmt: skip
 
     def cells(self, name: str, fields: Mapping[str, Any], render: Sequence[str]) -> tuple[str, ...]:

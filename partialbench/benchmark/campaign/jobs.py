@@ -1,4 +1,4 @@
-"""From a campaign file to jobs: which exist, which are done, which failed, which is next.
+"""From a campaign file to jobs: which exist, in which order, and which failed.
 
 A job is one training (model, options, recipe, data, seed) taken to one milestone and tested there,
 or one trial. Jobs of one training are done in the order of their milestones, by one process at a
@@ -11,20 +11,14 @@ import json
 import logging
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
-from partialbench.benchmark.campaign.file import Campaign, DataSet, Entry, card_of
+from partialbench.benchmark.campaign.file import Campaign, Entry, card_of
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
-from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.records import results
-from partialbench.benchmark.records.results import Result
-from partialbench.benchmark.records.trials import FILE, Trial, read_trials
 from partialbench.benchmark.variant import describe_changes, pairs_text
-from partialbench.dataset import manifest as manifests
-from partialbench.dataset.manifest import Manifest
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
@@ -80,6 +74,11 @@ class Job:
         )  # fmt: skip
 
     @property
+    def data_sets(self) -> tuple[str, ...]:
+        """Names of those it is trained and tested on."""
+        return tuple(dict.fromkeys((self.data, *(test.data for test in self.tests))))
+
+    @property
     def title(self) -> str:
         """For people: "papnet [grid=16] on clouds, seed 0, 50k"."""
         changes = describe_changes(
@@ -110,27 +109,42 @@ def all_jobs(campaign: Campaign) -> list[Job]:
     """
     found: dict[tuple[object, ...], Job] = {}
     for entry in campaign.entries:
-        for job in _jobs_of(entry, campaign.data):
+        for job in _jobs_of(entry, campaign):
             key = (job.kind, *job.training, job.clouds)
             tests = dict.fromkeys((*(found[key].tests if key in found else ()), *job.tests))
             found[key] = Job(**{**vars(job), "tests": tuple(tests)})
     return sorted(found.values(), key=lambda job: (job.clouds, job.seed))
 
 
-def _jobs_of(entry: Entry, data_sets: Mapping[str, DataSet]) -> Iterable[Job]:
+def _jobs_of(entry: Entry, campaign: Campaign) -> Iterable[Job]:
     tries = entry.tries or ({},)
-    cells = [Condition(name, cell=cell) for name in entry.grids for cell in data_sets[name].cells]
+    cells = [
+        Condition(name, cell=cell) for name in entry.grids for cell in campaign.data[name].cells
+    ]
+    changed = {model: _recipe_of(entry, model, campaign.preset) for model in entry.models}
     for clouds in entry.clouds:
         for seed in entry.seeds:
             for model in entry.models:
                 for data in entry.data:
                     tests = _tests(entry, data, cells) if entry.kind == "train" else ()
                     for changes in tries:
+                        recipe = {**changed[model], **changes}
                         yield Job(
-                            entry.kind, model, _json(entry.options),
-                            _json({**entry.recipe, **changes}), entry.precision, data, seed, clouds,
-                            tests, _json(entry.protocol),
+                            entry.kind, model, json_text(entry.options), json_text(recipe),
+                            entry.precision, data, seed, clouds, tests, json_text(entry.protocol),
                         )  # fmt: skip
+
+
+def _recipe_of(entry: Entry, model: str, preset: str) -> Mapping[str, Any]:
+    """What an entry changes about a model's recipe.
+
+    What the model has anyway is no change of a training, nor of its row: two jobs of one training
+    would be in each other's way. Of a trial it is: a trial is told by all that it was given.
+    """
+    if entry.kind == "tune" or not entry.recipe:
+        return entry.recipe
+    protocol = protocols.protocol(preset, **entry.protocol)
+    return recipes.changes(recipes.of_protocol(card_of(model), protocol), entry.recipe)
 
 
 def _tests(entry: Entry, data: str, cells: Iterable[Condition]) -> tuple[Condition, ...]:
@@ -144,164 +158,9 @@ def _tests(entry: Entry, data: str, cells: Iterable[Condition]) -> tuple[Conditi
     )
 
 
-def _json(data: Mapping[str, Any]) -> str:
+def json_text(data: Mapping[str, Any]) -> str:
+    """Of options and recipes: equal ones have one text."""
     return json.dumps(data, sort_keys=True)
-
-
-def digests(data: DataSet) -> dict[str, str]:
-    """Split → digest of a data set: of its folder where that is complete, else as declared. Of a
-    grid, cell → digest of its test split, of those cells that are complete.
-
-    Raises:
-        InputError: a complete folder whose digests are not the declared ones.
-    """
-    if data.cells:
-        of_cells = {cell: _complete(folder) for cell, folder in data.folders.items()}
-        return {cell: of.digests["test"] for cell, of in of_cells.items() if of is not None}
-    manifest = _complete(data.folder)
-    if manifest is None:
-        return dict(data.digests)
-    for split, declared in data.digests.items():
-        found = manifest.digests.get(split, "(no such split)")
-        if found != declared:
-            made = ", ".join(f"{name} {version}" for name, version in manifest.versions.items())
-            raise InputError(
-                f"the {split} split of data set {data.name!r} in {data.folder} has the digest "
-                f"{found}, made by {made}; the campaign declares {declared}"
-                + (f", made by {data.made_by}" if data.made_by else "")
-                + ". Delete the folder to have it rendered again by this version, or correct the "
-                "campaign file if the data are meant to have changed"
-            )
-    return dict(manifest.digests)
-
-
-def _complete(folder: Path) -> Manifest | None:
-    """What is in a data folder, None where it is not complete."""
-    if not (folder / manifests.NAME).is_file():
-        return None
-    manifest = manifests.load(folder)
-    return manifest if manifest.state == "complete" else None
-
-
-def is_rendered(data: DataSet) -> bool:
-    """Whether its folder, or that of each cell, is complete."""
-    return all(_complete(folder) is not None for folder in data.folders.values())
-
-
-class Ledger:
-    """What a campaign's folders say about its jobs.
-
-    Args:
-        without: names of grids that cannot be rendered here: their cells are asked of no job.
-
-    Attributes:
-        digests: data set name → split (of a grid: cell) → digest.
-        speeds: (model, options) → training clouds a second, medians as recorded.
-        unreadable: sentences about records that could not be read.
-    """
-
-    def __init__(self, campaign: Campaign, without: Collection[str] = ()) -> None:
-        self.campaign, self.without = campaign, without
-        self.digests = {name: digests(data) for name, data in campaign.data.items()}
-        self.unreadable: list[str] = []
-        self.speeds: dict[tuple[str, str], float] = {}
-        self._protocols: dict[str, Protocol] = {}
-        self._recipes: dict[tuple[str, str, str], str] = {}
-        self._done: set[tuple[object, ...]] = set()
-        for path in sorted(campaign.results.glob(f"*{results.SUFFIX}")):
-            try:
-                self._enter(results.read(path))
-            except InputError as error:
-                self.unreadable.append(str(error))
-        self._tried = {_of_trial(trial) for trial in read_trials(campaign.results / FILE)}
-        self.failures = read_failures(campaign.results / FAILURES)
-        self._failed = {failure["job"]: str(failure["reason"]) for failure in self.failures}
-
-    def is_done(self, job: Job) -> bool:
-        """Whether every test of the job has its record (a trial: its line)."""
-        train = self.digests[job.data].get("train")
-        if train is None:
-            return False
-        if job.kind == "tune":
-            return self._trial(job, train) in self._tried
-        return not self.missing_tests(job)
-
-    def missing_tests(self, job: Job) -> tuple[Condition, ...]:
-        """The tests of a training's job that have no record."""
-        train = self.digests[job.data].get("train", "")
-        return tuple(
-            test
-            for test in job.tests
-            if self._record(job, train, test) not in self._done
-            and not (test.cell and test.data in self.without)
-        )
-
-    def is_trained(self, job: Job) -> bool:
-        """Whether a training reached its milestone: its own test has a record."""
-        return job.kind == "train" and Condition(job.data) not in self.missing_tests(job)
-
-    def has_failed(self, job: Job) -> bool:
-        """Whether it, or an earlier milestone of its training, diverged or broke."""
-        return any(key in self._failed for key in (failure_key(job), training_key(job)))
-
-    def failure_of(self, job: Job) -> str:
-        """Why it failed, as it was recorded; "" for one that has not."""
-        keys = (failure_key(job), training_key(job))
-        return next((self._failed[key] for key in keys if key in self._failed), "")
-
-    def recipe_of(self, job: Job) -> str:
-        """The whole recipe that a job trains by, as JSON text."""
-        key = (job.model, job.recipe, job.protocol)
-        if key not in self._recipes:
-            own = recipes.of_protocol(card_of(job.model), self.protocol_of(job))
-            used = recipes.override(own, json.loads(job.recipe))
-            self._recipes[key] = _json(recipes.as_dict(used))
-        return self._recipes[key]
-
-    def protocol_of(self, job: Job) -> Protocol:
-        """What a job trains and is tested by."""
-        if job.protocol not in self._protocols:
-            self._protocols[job.protocol] = protocols.protocol(
-                self.campaign.preset, **json.loads(job.protocol)
-            )
-        return self._protocols[job.protocol]
-
-    def _enter(self, result: Result) -> None:
-        test = result.test_data
-        self._done.add(
-            (
-                result.model, _json(result.options), _json(result.recipe),
-                result.training["environment"]["precision"], result.seed, result.clouds,
-                result.protocol_digest, result.train_data.digest, test.digest,
-                test.points, result.given_pose, result.damage, result.grid,
-            )
-        )  # fmt: skip
-        speed = result.training["clouds_per_second"]
-        self.speeds.setdefault((result.model, _json(result.options)), speed)
-
-    def _record(self, job: Job, train: str, test: Condition) -> tuple[object, ...]:
-        protocol = self.protocol_of(job)
-        return (
-            job.model, job.options, self.recipe_of(job), job.precision, job.seed, job.clouds,
-            protocol.digest, train, self.digests[test.data].get(test.cell or "test"),
-            test.points or protocol.num_points, test.pose, test.damage, test.cell,
-        )  # fmt: skip
-
-    def _trial(self, job: Job, train: str) -> tuple[object, ...]:
-        changes = json.loads(job.recipe)
-        batch = json.loads(self.recipe_of(job))["batch_size"]
-        return (
-            job.model, describe_changes({}, json.loads(job.options), None, job.precision),
-            pairs_text(changes), job.seed, train, self.protocol_of(job).digest,
-            job.clouds // batch * batch,
-        )  # fmt: skip
-
-
-def _of_trial(trial: Trial) -> tuple[object, ...]:
-    return (
-        trial.model, trial.options, trial.recipe, trial.seed, trial.data, trial.protocol,
-        trial.clouds_seen,
-    )  # fmt: skip
 
 
 def failure_key(job: Job) -> str:
@@ -314,20 +173,54 @@ def training_key(job: Job) -> str:
     return json.dumps([job.kind, *job.training])
 
 
-def read_failures(path: Path) -> list[dict[str, Any]]:
-    """The lines of a ``failures.jsonl``; none where there is no such file."""
-    if not path.is_file():
-        return []
-    try:
-        return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"{path} is not a list of failures: {error}; delete it") from error
+class Failures:
+    """The ``failures.jsonl`` of a campaign's records: why jobs failed, by their keys.
 
+    Campaigns that share a folder share the file; of the lines of another preset this one's jobs,
+    which may be called the same, know nothing.
+    """
 
-def write_failures(path: Path, failures: list[dict[str, Any]]) -> None:
-    """Writes the list anew; no file for an empty one."""
-    if failures:
-        lines = "".join(json.dumps(each, sort_keys=True) + "\n" for each in failures)
-        write_atomically(path, lines.encode())
-    else:
-        path.unlink(missing_ok=True)
+    def __init__(self, campaign: Campaign) -> None:
+        self.path, self.preset = campaign.results / FAILURES, campaign.preset
+
+    def reasons(self) -> dict[str, str]:
+        """Key → reason."""
+        return {line["job"]: str(line["reason"]) for line in self._lines() if self._is_own(line)}
+
+    def add(self, key: str, title: str, reason: str) -> None:
+        """In the place of an earlier one of the same key."""
+        line = {"job": key, "title": title, "reason": reason, "preset": self.preset}
+        self._write([*self._without({key}), line])
+
+    def forget(self, keys: Collection[str]) -> None:
+        """So that their jobs are tried again."""
+        self._write(self._without(keys))
+
+    def _without(self, keys: Collection[str]) -> list[dict[str, Any]]:
+        return [line for line in self._lines() if line["job"] not in keys or not self._is_own(line)]
+
+    def _is_own(self, line: Mapping[str, Any]) -> bool:
+        return line.get("preset", self.preset) == self.preset  # earlier ones do not say
+
+    def _lines(self) -> list[dict[str, Any]]:
+        if not self.path.is_file():
+            return []
+        try:
+            lines = [
+                json.loads(line) for line in self.path.read_text(encoding="utf-8").splitlines()
+            ]
+            if not all({"job", "reason"} <= line.keys() for line in lines):
+                raise ValueError("a line lacks its job or its reason")
+            return lines
+        except (ValueError, AttributeError) as error:
+            raise InputError(
+                f"{self.path} is not a list of failures: {error}; delete it"
+            ) from error
+
+    def _write(self, lines: list[dict[str, Any]]) -> None:
+        """Anew; no file for none."""
+        if lines:
+            text = "".join(json.dumps(line, sort_keys=True) + "\n" for line in lines)
+            write_atomically(self.path, text.encode())
+        else:
+            self.path.unlink(missing_ok=True)

@@ -14,15 +14,22 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
+from dataclasses import replace
 from typing import Any
 
 from partialbench import registry
-from partialbench.benchmark.campaign import jobs as job_files
+from partialbench.benchmark.campaign.choice import Choice, choose
+from partialbench.benchmark.campaign.data import digests, is_rendered
 from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.file import Campaign, DataSet
-from partialbench.benchmark.campaign.jobs import FAILURES, Job, Ledger
+from partialbench.benchmark.campaign.jobs import (
+    Failures,
+    Job,
+    all_jobs,
+    failure_key,
+    training_key,
+)
+from partialbench.benchmark.campaign.ledger import Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
 from partialbench.benchmark.campaign.worker import (
     DIVERGED,
@@ -32,7 +39,6 @@ from partialbench.benchmark.campaign.worker import (
     STOPPED,
     run_in_process,
 )
-from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.records.results import file_name
 from partialbench.dataset.executors import dask_cluster
 from partialbench.dataset.lock import sole_user
@@ -72,7 +78,7 @@ def run(
         time_limit_s: after so long every training saves its state and the campaign ends.
         scheduler: of a Dask cluster whose workers see the same folders; ``jobs`` is then by default
             as many as it has threads.
-        retry_failed: try jobs again that are recorded as failed, of those that ``only`` names.
+        retry_failed: try jobs again that are recorded as failed, of those that are asked for.
         say: told in one line what begins, what ended and how much is to go.
 
     Returns:
@@ -80,25 +86,22 @@ def run(
 
     Raises:
         TimeLimitError: the time was over before the work was.
-        InputError: options that a model does not have, or not as the file has them.
+        InputError: options that a model does not have, or not as the file has them; or what is
+            asked for is nothing of the file's.
         PartialbenchError: another campaign works in the folder, the disk is full, data that cannot
             be rendered or are not what the file declares.
     """
     _check_options(campaign)
-    choice = _Choice(only, None if up_to is None else milestones.parse(up_to), trials)
+    choice = choose(only, up_to, trials)
+    choice.require_some(campaign)
     campaign.results.mkdir(parents=True, exist_ok=True)
     deadline = None if time_limit_s is None else time.monotonic() + time_limit_s - MARGIN_S
     with sole_user(campaign.work, "working on", "give it a folder of its own"):
         if retry_failed:
-            # What --only leaves out keeps its record: it is not tried now.
-            failures = campaign.results / FAILURES
-            tried = {
-                key for job in job_files.all_jobs(campaign)
-                if choice.rank(job) is not None
-                for key in (job_files.failure_key(job), job_files.training_key(job))
-            }  # fmt: skip
-            kept = [f for f in job_files.read_failures(failures) if f["job"] not in tried]
-            job_files.write_failures(failures, kept)
+            # What is left out keeps its record: it is not tried now.
+            tried = filter(choice.has, all_jobs(campaign))
+            keys = {key for job in tried for key in (failure_key(job), training_key(job))}
+            Failures(campaign).forget(keys)
         runner = _Runner(campaign, choice, device, deadline, say)
         try:
             with _executor(scheduler, jobs, device) as (executor, width):
@@ -135,7 +138,8 @@ def _check_options(campaign: Campaign) -> None:
             from partialbench.benchmark.models import chosen_options
 
             chosen = chosen_options(model, entry.options)
-            if chosen != entry.options:
+            # As text: to Python 5 and 5.0 are equal, and a record has one of them.
+            if json.dumps(chosen, sort_keys=True) != json.dumps(entry.options, sort_keys=True):
                 raise InputError(
                     f"{campaign.path}: options of {model} are {dict(entry.options)}; of the types "
                     f"that it takes, and without those that are its defaults, they are {chosen}: "
@@ -143,32 +147,11 @@ def _check_options(campaign: Campaign) -> None:
                 )
 
 
-@dataclass(frozen=True)
-class _Choice:
-    """Which jobs a run of a campaign does: see ``run``."""
-
-    only: Sequence[str]
-    last: int | None
-    trials: bool
-
-    def rank(self, job: Job) -> int | None:
-        """The number of the first pattern that a job fits, 0 where there are none, or None."""
-        name = f"{job.model}@{job.data}"
-        patterns = [each if "@" in each else f"{each}@*" for each in self.only] or ["*"]
-        return next((i for i, pattern in enumerate(patterns) if fnmatchcase(name, pattern)), None)
-
-    def has(self, job: Job) -> bool:
-        """Whether the job is done by this run."""
-        too_long = self.last is not None and job.clouds > self.last
-        left_out = job.kind == "tune" and not self.trials
-        return not too_long and not left_out and self.rank(job) is not None
-
-
 class _Runner:
     """One run of a campaign: what is running, and where it is told to stop."""
 
     def __init__(
-        self, campaign: Campaign, choice: _Choice, device: str, deadline: float | None,
+        self, campaign: Campaign, choice: Choice, device: str, deadline: float | None,
         say: Callable[[str], None],
     ) -> None:  # fmt: skip
         self.campaign, self.choice, self.device = campaign, choice, device
@@ -187,13 +170,21 @@ class _Runner:
         return needed.isdisjoint(self.unrendered) and self.choice.has(job)
 
     def render(self, workers: int, scheduler: str | None) -> None:
-        """Makes the data sets that some missing job needs, one after the other."""
-        missing = [job for job in status(self.campaign).missing if self.wanted(job)]
-        needed = {name for job in missing for name in (job.data, *(t.data for t in job.tests))}
-        for name in self.campaign.data:
+        """Makes the data sets that some missing job needs, one after the other.
+
+        What is done by data that are only remembered may be of others than the file now asks for:
+        where they can be made, they are, and tell.
+        """
+        ledger = self.ledger()
+        state, data_sets = status(self.campaign, ledger), self.campaign.data
+        told = {name for name in ledger.remembered if not data_sets[name].missing}
+        needed = {name for job in filter(self.wanted, state.missing) for name in job.data_sets}
+        needed |= {n for job in filter(self.wanted, state.done) for n in job.data_sets if n in told}
+        for name in data_sets:
             if name in needed and not self.is_over():
                 try:
-                    _render(self.campaign.data[name], workers, scheduler, self.say)
+                    left = None if self.deadline is None else self.deadline - time.monotonic()
+                    _render(data_sets[name], workers, scheduler, self.say, left)
                 except PartialbenchError as error:
                     # What can be trained without it is.
                     self.unrendered[name] = str(error)
@@ -277,7 +268,8 @@ class _Runner:
                 # Or it would be begun again for ever.
                 raise PartialbenchError(
                     f"{job.title} says it is done, but {self.campaign.results} has no record of "
-                    f"it; its data may have been rendered anew meanwhile"
+                    f"it; its data may have been rendered anew meanwhile, or its model's file "
+                    f"edited"
                 )
             self.say(f"done: {job.title}")
             return False
@@ -290,17 +282,14 @@ class _Runner:
                 f"{job.title}: {answer['reason']} ({os.strerror(errno.ENOSPC)})"
             )
         diverged = answer.get("kind") == DIVERGED
-        key = job_files.training_key(job) if diverged else job_files.failure_key(job)
+        key = training_key(job) if diverged else failure_key(job)
         if answer.get("kind") == KILLED and key not in self.killed:
             # By a person, or for the memory of another program: no fault of the job's, once.
             self.killed.add(key)
             self.say(f"once more, from its saved state: {job.title}: {answer['reason']}")
             return False
         self.say(f"failed: {job.title}: {answer['reason']}")
-        path = self.campaign.results / FAILURES
-        failures = [f for f in job_files.read_failures(path) if f["job"] != key]
-        failures.append({"job": key, "title": job.title, "reason": answer["reason"]})
-        job_files.write_failures(path, failures)
+        Failures(self.campaign).add(key, job.title, answer["reason"])
         return False
 
     def _write_running(self) -> None:
@@ -341,10 +330,16 @@ def _executor(
         yield threads, width
 
 
-def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[str], None]) -> None:
-    """Makes a data folder, or goes on with it, and holds it against its declared digests."""
-    if job_files.is_rendered(data):
-        job_files.digests(data)
+def _render(
+    data: DataSet, workers: int, scheduler: str | None, say: Callable[[str], None],
+    seconds: float | None = None,
+) -> None:  # fmt: skip
+    """Makes a data folder, or goes on with it, and holds it against its declared digests.
+
+    Where the time is over before, what is done of it stays, and the next run goes on with it.
+    """
+    if is_rendered(data):
+        digests(data)
         return
     say(f"rendering {data.name} into {data.folder}")
     where = ["--scheduler", scheduler] if scheduler else ["--workers", str(workers)]
@@ -352,10 +347,15 @@ def _render(data: DataSet, workers: int, scheduler: str | None, say: Callable[[s
         sys.executable, "-P", "-m", "partialbench.cli", "render", *data.render,
         "--out", str(data.folder), *where,
     ]  # fmt: skip
-    done = subprocess.run(command, stdout=subprocess.PIPE)  # its bar and errors are the user's
+    try:  # its bar and errors are the user's
+        done = subprocess.run(command, stdout=subprocess.PIPE, timeout=seconds)
+    except subprocess.TimeoutExpired:
+        say(f"stopped: rendering {data.name}; what is done of it stays")
+        return
     if done.returncode:
         raise PartialbenchError(
             f"the data set {data.name!r} could not be rendered (status {done.returncode}): "
             f"partialbench render {' '.join(data.render)} --out {data.folder}"
         )
-    job_files.digests(data)
+    write_atomically(data.note, data.command.encode())
+    digests(data)

@@ -18,6 +18,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
 
 from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.errors import InputError
@@ -41,8 +42,8 @@ def parse(given: str | int) -> int:
         InputError: anything else, or a number that is not whole or not positive.
     """
     value: float = 0
-    if isinstance(given, int) and not isinstance(given, bool):
-        value = given
+    if isinstance(given, Integral) and not isinstance(given, bool):  # one of NumPy's too
+        value = int(given)
     elif isinstance(given, str) and (match := _GRAMMAR.fullmatch(given.strip())):
         value = round(float(match[1]) * _UNITS[match[2].lower()], 6)
     if value < 1 or value != int(value):

@@ -173,7 +173,7 @@ def protocol(preset: str, /, **overrides: Any) -> Protocol:
     Raises:
         InputError: unknown preset or field (with close matches), or a value out of range.
     """
-    if preset not in PRESETS:
+    if not isinstance(preset, str) or preset not in PRESETS:
         raise InputError(f"no preset named {preset!r}{close_matches(preset, PRESETS)}")
     chosen = PRESETS[preset]
     for name in overrides:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import logging
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ from partialbench.benchmark.records.predictions import Predictions
 from partialbench.benchmark.variant import file_name
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
+
+log = logging.getLogger(__name__)
 
 FORMAT = "partialbench-result"
 FORMAT_VERSION = 6
@@ -213,8 +216,23 @@ def write(folder: Path, result: Result, predictions: Predictions) -> Path:
     record["predictions_sha256"] = hashlib.sha256(data).hexdigest()
     write_atomically(folder / record["predictions_file"], data)
     path = folder / f"{result.run_name}{SUFFIX}"
+    _say_replaced(path, result.weights_sha256)
     write_atomically(path, _as_text({"format": FORMAT, "format_version": FORMAT_VERSION, **record}))
     return path
+
+
+def _say_replaced(path: Path, weights: str) -> None:
+    """A run's record may be made again; that of other weights is not to go without a word."""
+    try:
+        before = cards.read_json(path)["weights_sha256"] if path.is_file() else weights
+    except (InputError, KeyError, TypeError):
+        return  # no record that anyone could miss
+    if before != weights:
+        log.warning(
+            "%s was the record of other weights (SHA-256 %s, now %s) and is replaced; another "
+            "results folder would have kept both",
+            path, str(before)[:12], weights[:12],
+        )  # fmt: skip
 
 
 def _as_text(record: dict[str, Any]) -> bytes:
