@@ -55,7 +55,9 @@ def without_dropout(model: nn.Module) -> nn.Module:
 def test_training_and_evaluation_agree(name: str) -> None:
     """Logits in training and then in evaluation, every gradient, and running statistics."""
     torch.manual_seed(0)
-    options = registry.card(name).published_options
+    options = dict(registry.card(name).published_options)
+    if "quirks" in options:  # the formulations sample small clouds as the rows do
+        options["quirks"] = options["quirks"].removesuffix("+counts")
     ours = without_dropout(registry.create(name, 10, **options)).double()
     theirs = without_dropout(formulations(NAMES[name])[name](10)).double()
     with torch.no_grad():

@@ -379,7 +379,7 @@ def test_the_example_of_a_users_own_model_runs_from_its_folder(data, tmp_path):
     code = [line for line in example.read_text().splitlines() if line.strip()]
     assert len(code) < 30
     # The page's code is the example's, and what runs is the page's.
-    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/own_model.md").read_text(), re.S)
+    block, *_ = re.findall(r"```python\n(.*?)```", (ROOT / "docs/own_model.md").read_text(), re.S)
     assert block == example.read_text()
     (tmp_path / "my_model.py").write_text(block)
     command = [
