@@ -88,8 +88,8 @@ def run_missing(
     Stopped in any way, the same command goes on. Exit status 1 if a job failed.
     """
     from partialbench.benchmark.campaign.choice import choose
+    from partialbench.benchmark.campaign.failures import FAILURES
     from partialbench.benchmark.campaign.file import load
-    from partialbench.benchmark.campaign.jobs import FAILURES
     from partialbench.benchmark.campaign.run import run
 
     board = load(file)

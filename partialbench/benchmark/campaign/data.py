@@ -18,21 +18,22 @@ def digests(data: DataSet) -> dict[str, str]:
         InputError: a complete folder whose digests are not the declared ones, or that was made by
             another command than the file has now.
     """
-    if data.note.is_file() and is_rendered(data):
+    found = {cell: _complete(folder) for cell, folder in data.folders.items()}
+    complete = {cell: manifest for cell, manifest in found.items() if manifest is not None}
+    if len(complete) == len(found) and data.note.is_file():
         _require_same_command(data)
     if data.cells:
-        of_cells = {cell: _complete(folder) for cell, folder in data.folders.items()}
-        return {cell: of.digests["test"] for cell, of in of_cells.items() if of is not None}
-    manifest = _complete(data.folder)
-    if manifest is None:
+        return {cell: manifest.digests["test"] for cell, manifest in complete.items()}
+    if not complete:
         return dict(data.digests)
+    (manifest,) = complete.values()
     for split, wanted in data.digests.items():
-        found = manifest.digests.get(split, "(no such split)")
-        if found != wanted:
+        there = manifest.digests.get(split, "(no such split)")
+        if there != wanted:
             made = ", ".join(f"{name} {version}" for name, version in manifest.versions.items())
             raise InputError(
                 f"the {split} split of data set {data.name!r} in {data.folder} has the digest "
-                f"{found}, made by {made}; the campaign declares {wanted}"
+                f"{there}, made by {made}; the campaign declares {wanted}"
                 + (f", made by {data.made_by}" if data.made_by else "")
                 + ". Delete the folder to have it rendered again by this version, or correct the "
                 "campaign file if the data are meant to have changed"

@@ -8,15 +8,9 @@ from pathlib import Path
 
 from partialbench import user_code
 from partialbench.benchmark.campaign.data import digests
+from partialbench.benchmark.campaign.failures import Failures, keys_of
 from partialbench.benchmark.campaign.file import Campaign, card_of
-from partialbench.benchmark.campaign.jobs import (
-    Condition,
-    Failures,
-    Job,
-    failure_key,
-    json_text,
-    training_key,
-)
+from partialbench.benchmark.campaign.jobs import Condition, Job, json_text
 from partialbench.benchmark.preflight import FULL_PRECISION
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
@@ -86,12 +80,11 @@ class Ledger:
 
     def has_failed(self, job: Job) -> bool:
         """Whether it, or an earlier milestone of its training, diverged or broke."""
-        return any(key in self._failed for key in (failure_key(job), training_key(job)))
+        return any(key in self._failed for key in keys_of(job))
 
     def failure_of(self, job: Job) -> str:
         """Why it failed, as it was recorded; "" for one that has not."""
-        keys = (failure_key(job), training_key(job))
-        return next((self._failed[key] for key in keys if key in self._failed), "")
+        return next((self._failed[key] for key in keys_of(job) if key in self._failed), "")
 
     def recipe_of(self, job: Job) -> str:
         """The whole recipe that a job trains by, as JSON text."""

@@ -21,14 +21,14 @@ from partialbench import registry
 from partialbench.benchmark.campaign.choice import Choice, choose
 from partialbench.benchmark.campaign.data import digests, is_rendered
 from partialbench.benchmark.campaign.declare import declare
-from partialbench.benchmark.campaign.file import Campaign, DataSet
-from partialbench.benchmark.campaign.jobs import (
+from partialbench.benchmark.campaign.failures import (
     Failures,
-    Job,
-    all_jobs,
     failure_key,
+    keys_of,
     training_key,
 )
+from partialbench.benchmark.campaign.file import Campaign, DataSet
+from partialbench.benchmark.campaign.jobs import Job, all_jobs, json_text
 from partialbench.benchmark.campaign.ledger import Ledger
 from partialbench.benchmark.campaign.status import RUNNING, Status, status
 from partialbench.benchmark.campaign.worker import (
@@ -100,8 +100,7 @@ def run(
         if retry_failed:
             # What is left out keeps its record: it is not tried now.
             tried = filter(choice.has, all_jobs(campaign))
-            keys = {key for job in tried for key in (failure_key(job), training_key(job))}
-            Failures(campaign).forget(keys)
+            Failures(campaign).forget({key for job in tried for key in keys_of(job)})
         runner = _Runner(campaign, choice, device, deadline, say)
         try:
             with _executor(scheduler, jobs, device) as (executor, width):
@@ -139,7 +138,7 @@ def _check_options(campaign: Campaign) -> None:
 
             chosen = chosen_options(model, entry.options)
             # As text: to Python 5 and 5.0 are equal, and a record has one of them.
-            if json.dumps(chosen, sort_keys=True) != json.dumps(entry.options, sort_keys=True):
+            if json_text(chosen) != json_text(entry.options):
                 raise InputError(
                     f"{campaign.path}: options of {model} are {dict(entry.options)}; of the types "
                     f"that it takes, and without those that are its defaults, they are {chosen}: "
