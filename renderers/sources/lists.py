@@ -31,9 +31,17 @@ class _Readable(Protocol):
 
 @dataclass
 class _Lists:
-    """The lists of one set ("modelnet40") in one folder, and what they name."""
+    """The lists of one set ("modelnet40") in one folder, and what they name.
+
+    Attributes:
+        folder: whose objects they name.
+        index: how such an object may be called → the objects that may be called so.
+        categories: of all objects, in small letters.
+    """
 
     folder: str
+    index: dict[str, list[Entry]]
+    categories: set[str]
     files: list[str] = field(default_factory=list)
     split_of: dict[str, tuple[str, str]] = field(default_factory=dict)  # location → split, list
     absent: list[tuple[str, str]] = field(default_factory=list)  # list, name
@@ -71,8 +79,9 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
             continue
         key = str(PurePosixPath(name).parent), of_set.casefold()
         for split, names in found:
-            lists = candidates.setdefault(key, _Lists(_folder_of(name, entries)))
-            _match(lists, name, split, names, entries)
+            if key not in candidates:
+                candidates[key] = _lists_beside(name, entries)
+            _match(candidates[key], name, split, names)
     best: dict[str, _Lists] = {}
     for lists in candidates.values():
         if len(lists.split_of) > len(best[lists.folder].split_of if lists.folder in best else ()):
@@ -83,6 +92,20 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
         layout.left_out += [(name, reason) for lists in candidates.values() for name in lists.files]
         return
     _use(list(best.values()), layout)
+
+
+def _lists_beside(name: str, entries: list[Entry]) -> _Lists:
+    """Of the set that a list's file belongs to, before any is read."""
+    folder = _folder_of(name, entries)
+    index: dict[str, list[Entry]] = defaultdict(list)
+    for entry in entries:
+        if entry.location.startswith(folder):
+            path = entry.location
+            bare = path[: len(path) - len(PurePosixPath(path).suffix)]
+            own = entry.name
+            for key in {path, bare, f"{entry.category}/{own}", own, str(PurePosixPath(bare).name)}:
+                index[key].append(entry)
+    return _Lists(folder, index, {entry.category.casefold() for entry in entries})
 
 
 def _folder_of(name: str, entries: list[Entry]) -> str:
@@ -97,20 +120,11 @@ def _folder_of(name: str, entries: list[Entry]) -> str:
     return folder
 
 
-def _match(lists: _Lists, name: str, split: str, lines: list[str], entries: list[Entry]) -> None:
-    index: dict[str, list[Entry]] = defaultdict(list)
-    for entry in entries:
-        if entry.location.startswith(lists.folder):
-            path = entry.location
-            bare = path[: len(path) - len(PurePosixPath(path).suffix)]
-            own = entry.name
-            for key in {path, bare, f"{entry.category}/{own}", own, str(PurePosixPath(bare).name)}:
-                index[key].append(entry)
-    categories = {entry.category.casefold() for entry in entries}
+def _match(lists: _Lists, name: str, split: str, lines: list[str]) -> None:
     if name not in lists.files:
         lists.files.append(name)
     for line in lines:
-        found, before = _find(line, index, categories)
+        found, before = _find(line, lists.index, lists.categories)
         places = {(e.category, e.name) for e in found}
         if len(places) > 1 and not any(part not in (".", "..") for part in before):
             said = ", ".join(sorted(f"{c}/{n}" for c, n in places)[:3])
