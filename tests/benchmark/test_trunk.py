@@ -20,8 +20,7 @@ from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.records.predictions import to_bytes
 from partialbench.benchmark.run import make_task
 from partialbench.benchmark.testing import evaluate
-from partialbench.benchmark.training import checkpoint, trunk
-from partialbench.benchmark.training import train as training
+from partialbench.benchmark.training import checkpoint, keeper, trunk
 from partialbench.benchmark.training.loop import Loop
 from partialbench.benchmark.training.train import Task, train
 from partialbench.errors import ConfigurationMismatchError, InputError, TimeLimitError
@@ -193,7 +192,7 @@ def test_ctrl_c_waits_for_the_step_and_saves(tmp_path, taken, steps):
 
 
 def test_a_state_is_saved_every_few_minutes_without_being_asked_for(tmp_path, monkeypatch, taken):
-    monkeypatch.setattr(training, "CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr(keeper, "CHECKPOINT_SECONDS", -1.0)
     with pytest.raises(RuntimeError, match="killed"):
         run(tmp_path, 600, should_stop=lambda: len(taken) == 11 and _killed())
     assert sorted(trunk.RunFolder(tmp_path).states()) == [100]

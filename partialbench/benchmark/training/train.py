@@ -9,18 +9,13 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-import logging
-import signal
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
-import torch
 from lightning.fabric import Fabric
 from numpy.typing import NDArray
 from rich.console import Console
@@ -34,6 +29,7 @@ from partialbench.benchmark.protocol.protocol import Protocol
 from partialbench.benchmark.records.results import describe_data
 from partialbench.benchmark.training import checkpoint, finetune
 from partialbench.benchmark.training.follow import TensorBoard
+from partialbench.benchmark.training.keeper import Keeper
 from partialbench.benchmark.training.loop import CHECK_EVERY, DivergedError, Loop
 from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.dataset.shards import write_atomically
@@ -42,11 +38,6 @@ from partialbench.progress import training_bar
 from partialbench.registry import Recipe
 
 __all__ = ["DivergedError", "Task", "TimeLimitError", "Trained", "train"]
-
-log = logging.getLogger(__name__)
-
-CHECKPOINT_SECONDS = 180.0
-"""How much wall time a training that is killed may lose."""
 
 
 @dataclass(frozen=True)
@@ -135,148 +126,108 @@ def train(
         ConfigurationMismatchError: what the folder has is of another training.
     """
     recipes.require_fits(task.recipe, task.protocol)
-    files = RunFolder(folder)
-    plan = milestones.plan(task.protocol, task.recipe, clouds, len(task.train_rows))
-    identity = task.identity()
     fabric.barrier()  # another process may have been writing what all read now
-    loop = Loop(task, fabric, plan)
-    path = files.branch(clouds)
-    in_branch = path.is_file()
-    state = path if in_branch else files.nearest(plan.branch_at * plan.batch)
-    if state is not None:
-        saved = checkpoint.load(state)
-        _require_same_training(saved, identity, state, folder)
-        loop.load(saved)
-        if "summary" in saved:
-            return Trained(loop.bare.eval(), loop.history, saved["summary"])
-
-    def save_trunk() -> None:
-        content = loop.content()
-        if fabric.is_global_zero:
-            target = files.state(loop.clouds_seen)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            checkpoint.save(target, identity, {**content, "kind": "trunk"})
-            files.note(loop.speed())
-            files.prune(loop.clouds_seen, [clouds], plan.batch)
-
-    def save_branch() -> None:
-        content = loop.content()
-        if fabric.is_global_zero:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            checkpoint.save(path, identity, {**content, "kind": "branch", "clouds": clouds})
-            files.note(loop.speed(), branch=(clouds, loop.clouds_seen))
-
-    watched = None
+    course = _Course(task, fabric, RunFolder(folder), clouds)
+    summary = course.resume()
+    if summary is not None:
+        return Trained(course.loop.bare.eval(), course.loop.history, summary)
+    loop, watched = course.loop, None
     if log_to == "tensorboard" and fabric.is_global_zero:
-        watched = TensorBoard(path.parent / "tensorboard", loop.history)
+        watched = TensorBoard(course.path.parent / "tensorboard", loop.history)
     with (
         contextlib.closing(watched) if watched else contextlib.nullcontext(),
         training_bar(Console(stderr=True), silent=silent or not fabric.is_global_zero) as progress,
-        _Keeper(fabric, loop, checkpoint_every, should_stop) as keeper,
+        Keeper(fabric, loop, checkpoint_every, should_stop) as keeper,
     ):
-        bar = progress.add_task(f"{task.model} {milestones.name(clouds)}", total=plan.steps,
+        bar = progress.add_task(f"{task.model} {milestones.name(clouds)}", total=course.plan.steps,
                                 loss="", completed=loop.step)  # fmt: skip
 
-        def advance(until: int, save: Callable[[], None]) -> None:
-            def after_step() -> None:
-                if loop.step % CHECK_EVERY == 0 or loop.step == until:
-                    shown = f"loss {loop.mean_loss:.3f}" if loop.in_interval else ""
-                    progress.update(bar, completed=loop.step, **({"loss": shown} if shown else {}))
-                    if watched:
-                        watched.update(loop.history)
-                keeper.after_step(save)
+        def after_step(until: int) -> None:
+            if loop.step % CHECK_EVERY == 0 or loop.step == until:
+                shown = f"loss {loop.mean_loss:.3f}" if loop.in_interval else ""
+                progress.update(bar, completed=loop.step, **({"loss": shown} if shown else {}))
+                if watched:
+                    watched.update(loop.history)
+            keeper.after_step(course.save)
 
-            loop.advance(until, after_step)
-
-        if not in_branch:
-            stops = {*milestones.regular(plan.branch_at, plan.batch), plan.branch_at}
-            for stop in sorted(step for step in stops if step > loop.step):
-                advance(stop, save_trunk)
-                save_trunk()
-            loop.begin_branch()
-        advance(plan.steps, save_branch)
+        for stop in course.stops():
+            loop.advance(stop, partial(after_step, stop))
+            course.save()
+        if not course.in_branch:
+            course.begin_branch()
+        loop.advance(course.plan.steps, partial(after_step, course.plan.steps))
         content = loop.finished()
         if watched:
             watched.update(loop.history)
-    if fabric.is_global_zero:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        checkpoint.save(path, identity, {**content, "kind": "branch", "clouds": clouds})
-        write_atomically(path.with_name("log.csv"), _as_csv(loop.history))
-        files.note(loop.speed(), done=clouds)
-    fabric.barrier()
+    course.finish(content)
     return Trained(loop.bare.eval(), loop.history, content["summary"])
 
 
-class _Keeper:
-    """Decides after each step whether to save, and whether to stop; several processes agree.
+class _Course:
+    """A training's way along the trunk and then its branch, and its files; rank 0 writes them.
 
-    While it is entered, Ctrl-C waits for the step under way; a second one does not.
+    Attributes:
+        in_branch: whether it has left the trunk.
+        path: the branch's checkpoint.
     """
 
-    GO_ON, SAVE, TIME_IS_OVER, INTERRUPTED = range(4)
+    def __init__(self, task: Task, fabric: Fabric, files: RunFolder, clouds: int) -> None:
+        self.files, self.clouds, self.fabric = files, clouds, fabric
+        self.plan = milestones.plan(task.protocol, task.recipe, clouds, len(task.train_rows))
+        self.identity = task.identity()
+        self.loop = Loop(task, fabric, self.plan)
+        self.path = files.branch(clouds)
+        self.in_branch = self.path.is_file()
 
-    def __init__(
-        self,
-        fabric: Fabric,
-        loop: Loop,
-        checkpoint_every: int | None,
-        should_stop: Callable[[], bool] | None,
-    ) -> None:
-        self.fabric, self.loop = fabric, loop
-        self.checkpoint_every, self.should_stop = checkpoint_every, should_stop
-        self.saved_at, self.interrupted = time.monotonic(), False
-        self.before: Any = None
+    def resume(self) -> dict[str, Any] | None:
+        """Takes up the furthest state that is saved; a finished training's summary, or None."""
+        branch_at = self.plan.branch_at * self.plan.batch
+        state = self.path if self.in_branch else self.files.nearest(branch_at)
+        if state is None:
+            return None
+        saved = checkpoint.load(state)
+        _require_same_training(saved, self.identity, state, self.files.folder)
+        self.loop.load(saved)
+        summary: dict[str, Any] | None = saved.get("summary")
+        return summary
 
-    def __enter__(self) -> _Keeper:
-        if threading.current_thread() is threading.main_thread():
-            self.before = signal.getsignal(signal.SIGINT)
-            if callable(self.before):
-                signal.signal(signal.SIGINT, self._note)
-        return self
+    def stops(self) -> list[int]:
+        """Steps ahead at which a state of the trunk is kept, the branch's beginning the last."""
+        if self.in_branch:
+            return []
+        regular = milestones.regular(self.plan.branch_at, self.plan.batch)
+        return sorted(step for step in {*regular, self.plan.branch_at} if step > self.loop.step)
 
-    def __exit__(self, kind: object, *_: object) -> None:
-        if callable(self.before):
-            signal.signal(signal.SIGINT, self.before)
-        if self.interrupted and kind is None:
-            raise KeyboardInterrupt
+    def begin_branch(self) -> None:
+        self.loop.begin_branch()
+        self.in_branch = True
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self.interrupted = True
-        signal.signal(signal.SIGINT, self.before)
-
-    def _wish(self) -> int:
-        time_is_over = self.should_stop is not None and self.should_stop()
-        if self.interrupted:
-            return self.INTERRUPTED
-        if time_is_over:
-            return self.TIME_IS_OVER
-        if time.monotonic() - self.saved_at > CHECKPOINT_SECONDS:
-            return self.SAVE
-        return self.GO_ON
-
-    def after_step(self, save: Callable[[], None]) -> None:
-        """Calls ``save`` where it is time, and raises where it is over."""
-        step, wish = self.loop.step, self.GO_ON
-        if self.fabric.world_size == 1:
-            wish = self._wish()
-        elif step % CHECK_EVERY == 0:
-            mine = torch.tensor(self._wish(), device=self.fabric.device)
-            wishes = self.fabric.all_gather(mine)
-            assert isinstance(wishes, torch.Tensor)
-            wish = int(wishes.max())
-        if self.checkpoint_every is not None and step % self.checkpoint_every == 0:
-            wish = max(wish, self.SAVE)
-        if wish == self.GO_ON:
+    def save(self) -> None:
+        """Saves where the training stands, of the trunk or of the branch."""
+        content = self.loop.content()  # by all processes: what each has of it is gathered
+        if not self.fabric.is_global_zero:
             return
-        save()
-        self.saved_at = time.monotonic()
-        if wish == self.INTERRUPTED:
-            raise KeyboardInterrupt
-        if wish == self.TIME_IS_OVER:
-            raise TimeLimitError(
-                f"out of time: {self.loop.task.model} is saved at {self.loop.clouds_seen:,} of "
-                f"{self.loop.plan.clouds_seen:,} clouds; the same call goes on from there"
-            )
+        if self.in_branch:
+            self._write_branch(content)
+            self.files.note(self.loop.speed(), branch=(self.clouds, self.loop.clouds_seen))
+        else:
+            target = self.files.state(self.loop.clouds_seen)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            checkpoint.save(target, self.identity, {**content, "kind": "trunk"})
+            self.files.note(self.loop.speed())
+            self.files.prune(self.loop.clouds_seen, [self.clouds], self.plan.batch)
+
+    def finish(self, content: dict[str, Any]) -> None:
+        if self.fabric.is_global_zero:
+            self._write_branch(content)
+            write_atomically(self.path.with_name("log.csv"), _as_csv(self.loop.history))
+            self.files.note(self.loop.speed(), done=self.clouds)
+        self.fabric.barrier()
+
+    def _write_branch(self, content: dict[str, Any]) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        branch = {**content, "kind": "branch", "clouds": self.clouds}
+        checkpoint.save(self.path, self.identity, branch)
 
 
 def _require_same_training(
