@@ -104,22 +104,10 @@ def plan_render(
     elif source == "scannet":
         of_source |= {"workers": workers, "on_scene": on_scene}
     shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **of_source)
-    described = shapes.describe()
-    name = described["name"]
-    dataset_id, occluder_name = registry.data_set_of(described)
-    if not dataset_id.startswith(data_set):
-        raise InputError(
-            f"source {source!r} ({name}) makes {dataset_id}, not {data_set}: run "
-            f"'partialbench render {dataset_id[:4]}'"
-        )
+    dataset_id, occluder_name = _makes(shapes, source, data_set)
     if setting in SETTINGS and SETTINGS[setting].whole:
         occluder_name = "whole"
-    per_split = dict(PAPER_VIEWS[data_set])
-    if views is not None:
-        per_split = {"train": views, "test": views if data_set == "ps15" else 1}
-    chosen = tuple(dict.fromkeys(given.several(splits, "splits") or shapes.splits()))
-    if unknown := [s for s in chosen if s not in shapes.splits()]:
-        raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
+    chosen = _chosen_splits(splits, shapes)
     options = given.mapping(occluder_options, "occluder_options")
     if occluder_name == "scan-hpr" and "rules" in of_source:
         options["rules"] = of_source["rules"]
@@ -131,13 +119,40 @@ def plan_render(
         options["normals"] = True
     occluder = _make_occluder(occluder_name, options)
     least = getattr(occluder, "min_visible", LEAST_VISIBLE if min_visible is None else min_visible)
+    per_split = _views_per_split(data_set, views)
     return BuildPlan(
         Job(shapes, occluder, dataset_id, setting, per_split, points, seed, least),
         Path(out),
-        tuple(chosen),
+        chosen,
         None if objects_per_class is None else dict.fromkeys(chosen, objects_per_class),
         rows_per_shard,
     )
+
+
+def _makes(shapes: Source, source: str, data_set: str) -> tuple[str, str]:
+    """What a source makes: the data set's id, which must be one of ``data_set``, and by which
+    occluder."""
+    described = shapes.describe()
+    dataset_id, occluder = registry.data_set_of(described)
+    if not dataset_id.startswith(data_set):
+        raise InputError(
+            f"source {source!r} ({described['name']}) makes {dataset_id}, not {data_set}: run "
+            f"'partialbench render {dataset_id[:4]}'"
+        )
+    return dataset_id, occluder
+
+
+def _chosen_splits(asked: str | Sequence[str] | None, shapes: Source) -> tuple[str, ...]:
+    chosen = tuple(dict.fromkeys(given.several(asked, "splits") or shapes.splits()))
+    if unknown := [s for s in chosen if s not in shapes.splits()]:
+        raise InputError(f"the source has no split {unknown[0]!r}; it has {shapes.splits()}")
+    return chosen
+
+
+def _views_per_split(data_set: str, views: int | None) -> dict[str, int]:
+    if views is None:
+        return dict(PAPER_VIEWS[data_set])
+    return {"train": views, "test": views if data_set == "ps15" else 1}
 
 
 def render_dataset(
