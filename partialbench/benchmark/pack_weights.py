@@ -59,17 +59,21 @@ def pack(
         most_clouds: of a test, taken evenly from the classes; None for all.
 
     Raises:
-        InputError: no finished training of a registered model without changes, another data folder
-            than it was trained on, or weights that 16 bits change by more than ``MOST_DIFFERENCE``.
+        InputError: no finished training of a registered model without changes (outside of a
+            release: of its options), another data folder than it was trained on, or weights that 16
+            bits change by more than ``MOST_DIFFERENCE``.
     """
     path, out = find_checkpoint(run), Path(out)
     content = checkpoint.load(path)
     checkpoint.require_finished(content, path, "be packed")
     name = content["model"]
-    if user_code.is_own(name) or content["variant"]:
+    # Trained in another way than its card has it, a model is still that model.
+    changed = content["variant" if out.resolve() == weights.FOLDER else "options"]
+    if user_code.is_own(name) or changed:
         raise InputError(
             f"{path} is of {name} {content['variant']}".rstrip()
-            + ": what comes with a release are registered models, as their cards have them"
+            + ": what comes with a release are registered models, as their cards have them, and "
+            "what is kept elsewhere are models whose options their cards have"
         )
     if not tests:
         raise InputError("nothing to test on: the first test is the folder that was trained on")

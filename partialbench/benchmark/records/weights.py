@@ -191,12 +191,13 @@ def as_markdown(cards: dict[str, dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for name, card in cards.items():
-        data = card["identity"]["train_data"]
+        data, variant = card["identity"]["train_data"], card["identity"]["variant"]
+        row = f"{name} [{variant}]" if variant else name
         for test in card["tests"]:
             low_high = test["interval"]
             within = "–" if not low_high else "{:.1%} – {:.1%}".format(*low_high)
             lines.append(
-                f"| {name} | {data['id']} `{data['digest'][:8]}` | {card['clouds_seen']:,} | "
+                f"| {row} | {data['id']} `{data['digest'][:8]}` | {card['clouds_seen']:,} | "
                 f"{test['source']} (`{test['data']['digest'][:8]}`) | {test['answered']:,} of "
                 f"{test['classes']} classes | {test['accuracy']:.1%} | {within} |"
             )
