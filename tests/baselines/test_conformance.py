@@ -241,7 +241,7 @@ def test_claimed_permutation_invariance_holds(name: str) -> None:
     def permute(points: Tensor) -> Tensor:
         return points[:, torch.from_numpy(rng.permutation(points.shape[1]))]
 
-    assert largest_change(name, clouds(), permute, trials=2) <= 1e-4
+    assert largest_change(name, clouds()[:4], permute, trials=2) <= 1e-4
 
 
 @every_model

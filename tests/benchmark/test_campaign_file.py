@@ -209,13 +209,13 @@ def test_the_board_s_own_file_holds_together():
 
 
 def test_the_board_tests_its_rows_under_all_damages_and_on_a_grid():
-    """All but what takes normals, of which damaged and moved clouds have none."""
+    """By the common recipe, all but what takes normals: damaged and moved clouds have none."""
     campaign = load(ROOT / "leaderboard" / "campaign.toml")
     tested = {"pm40-clouds": len(damage.parse("all")), "pm40-parametric": 39}
     for data, count in tested.items():
         jobs = [
             j for j in all_jobs(campaign)
-            if (j.data, j.clouds, j.seed, j.kind) == (data, 100_000, 0, "train")
+            if (j.data, j.clouds, j.seed, j.kind, j.recipe) == (data, 100_000, 0, "train", "{}")
         ]  # fmt: skip
         found = {j.model: sum(bool(t.damage or t.cell) for t in j.tests) for j in jobs}
         assert len(found) == 24
