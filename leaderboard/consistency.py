@@ -21,7 +21,7 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import damage, given_pose, metrics
-from partialbench.benchmark.variant import describe_changes
+from partialbench.benchmark.variant import describe_changes, with_changes
 from partialbench.dataset import grid
 from partialbench.errors import InputError
 from partialbench.extras import MissingExtraError
@@ -84,7 +84,7 @@ def own_faults(result: Result) -> Iterator[str]:
     if changed != result.variant:
         yield (
             f"its row is {result.row}, but by its options, recipe, start and precision it is "
-            f"{results.with_changes(result.model, changed)}"
+            f"{with_changes(result.model, changed)}"
         )
 
 

@@ -8,7 +8,8 @@ import re
 from leaderboard.board import Cell, Column, budget_title
 from leaderboard.tables.plain import visible
 from partialbench.benchmark.records.origin import clouds_before
-from partialbench.benchmark.records.results import Result, with_changes
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.variant import with_changes
 
 
 def row_title(result: Result) -> str:

@@ -13,7 +13,8 @@ from typing import NamedTuple
 from leaderboard.board import Column, budget_title, ranked
 from leaderboard.comparison import Comparison
 from leaderboard.words import interval, model_input, percent, reported, reported_name, row_title
-from partialbench.benchmark.records.results import Result, with_changes
+from partialbench.benchmark.records.results import Result
+from partialbench.benchmark.variant import with_changes
 
 MODEL = "papnet"
 DEFAULT_VARIANT = "ground-truth"

@@ -13,7 +13,7 @@ from leaderboard.tables.layouts import Layout
 from leaderboard.tables.plain import csv_cell, visible
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.records.declared import Declared
-from partialbench.benchmark.records.results import with_changes
+from partialbench.benchmark.variant import with_changes
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from leaderboard.board import Column, own_columns
 from leaderboard.tables.agreement import AGREEMENT, accuracies, agree
 from leaderboard.tables.layouts import Layout
 from leaderboard.words import engineering, percent
-from partialbench.benchmark.records.results import Result, with_changes
+from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.records.trials import FILE, Trial, read_trials
+from partialbench.benchmark.variant import with_changes
 
 AS_IT_IS = "as it is"
 

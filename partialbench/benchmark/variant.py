@@ -25,6 +25,11 @@ _SAFE = re.compile(r"[a-z0-9=+][a-z0-9.=+-]*")
 _BARE = re.compile(r"[^\s;=,\[\]{}\"'\\]+")
 
 
+def with_changes(name: str, changes: str) -> str:
+    """A name and, in brackets, what was changed about it: "papnet [grid=16]"."""
+    return f"{name} [{changes}]" if changes else name
+
+
 def describe_changes(
     recipe: Mapping[str, Any],
     options: Mapping[str, Any],

@@ -16,8 +16,7 @@ from partialbench.benchmark.campaign.file import Campaign, Entry, card_of
 from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.protocol import recipe as recipes
-from partialbench.benchmark.records import results
-from partialbench.benchmark.variant import describe_changes, pairs_text
+from partialbench.benchmark.variant import describe_changes, pairs_text, with_changes
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Job:
         changes = describe_changes(
             json.loads(self.recipe), json.loads(self.options), None, self.precision
         )
-        row = results.with_changes(self.model, changes)
+        row = with_changes(self.model, changes)
         protocol = pairs_text(json.loads(self.protocol))
         by = f", {protocol}" if protocol else ""
         trial = " (trial)" if self.kind == "tune" else ""

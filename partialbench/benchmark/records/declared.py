@@ -16,7 +16,7 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from partialbench.benchmark.records import cards
-from partialbench.benchmark.records.results import with_changes
+from partialbench.benchmark.variant import with_changes
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 

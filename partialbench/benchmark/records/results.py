@@ -23,7 +23,7 @@ from partialbench.benchmark.protocol import protocol as protocols
 from partialbench.benchmark.records import cards, schema, testsets
 from partialbench.benchmark.records import predictions as prediction_files
 from partialbench.benchmark.records.predictions import Predictions
-from partialbench.benchmark.variant import file_name
+from partialbench.benchmark.variant import file_name, with_changes
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 
@@ -77,11 +77,6 @@ def describe_data(dataset: Clouds, rows: NDArray[np.int64]) -> DataRecord:
         points=dataset.num_points,
         sensor=dataset.sensor,
     )
-
-
-def with_changes(name: str, changes: str) -> str:
-    """A name and, in brackets, what was changed about it: "papnet [grid=16]"."""
-    return f"{name} [{changes}]" if changes else name
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from partialbench.benchmark.records.results import with_changes
+from partialbench.benchmark.variant import with_changes
 from partialbench.dataset.shards import write_atomically
 from partialbench.errors import InputError
 

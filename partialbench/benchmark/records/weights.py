@@ -19,6 +19,7 @@ from typing_extensions import TypedDict
 
 from partialbench.benchmark.records.cards import json_digest, read_json
 from partialbench.benchmark.records.schema import Count, DataEntry, Digest, Positive, Share
+from partialbench.benchmark.variant import with_changes
 from partialbench.errors import InputError
 
 FOLDER = Path(__file__).resolve().parents[2] / "weights"
@@ -191,8 +192,8 @@ def as_markdown(cards: dict[str, dict[str, Any]]) -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for name, card in cards.items():
-        data, variant = card["identity"]["train_data"], card["identity"]["variant"]
-        row = f"{name} [{variant}]" if variant else name
+        data = card["identity"]["train_data"]
+        row = with_changes(name, card["identity"]["variant"])
         for test in card["tests"]:
             low_high = test["interval"]
             within = "–" if not low_high else "{:.1%} – {:.1%}".format(*low_high)
