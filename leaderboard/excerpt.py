@@ -8,6 +8,9 @@ The document marks where, and its own header row says which columns::
     | model | accuracy | 95 % interval |
     …
     <!-- end -->
+
+``; without recipe`` after the section's title leaves out the rows that were trained by a recipe of
+their own, which their names say in brackets.
 """
 
 from __future__ import annotations
@@ -19,7 +22,10 @@ from pathlib import Path
 from leaderboard.tables.plain import markdown
 from partialbench.errors import InputError
 
+WITHOUT_RECIPE = "; without recipe"
+
 _BLOCK = re.compile(r"(<!-- leaderboard: (.*?) -->\n)(.*?)(<!-- end -->)", re.S)
+_RECIPE = re.compile(r"\[(?:.*; )?recipe .*\]$")
 
 
 def fill(document: str, board: str) -> str:
@@ -32,6 +38,8 @@ def fill(document: str, board: str) -> str:
 
     def table(match: re.Match[str]) -> str:
         begin, title, old, end = match.groups()
+        one_recipe = title.endswith(WITHOUT_RECIPE)
+        title = title.removesuffix(WITHOUT_RECIPE)
         if markdown(title) not in sections:
             raise InputError(f"the board has no section {title!r}, but {', '.join(sections)}")
         lines = [
@@ -41,6 +49,9 @@ def fill(document: str, board: str) -> str:
         missing = [name for name in wanted if name not in lines[0]]
         if missing:
             raise InputError(f"{title}: no column {missing[0]!r}, but {', '.join(lines[0])}")
+        if one_recipe:
+            model = lines[0].index("model")
+            lines = [line for line in lines if not _RECIPE.search(line[model])]
         columns = [lines[0].index(name) for name in wanted]
         chosen = [[cells[c] for c in columns] for cells in lines]
         chosen[1] = ["---"] * len(columns)
