@@ -16,6 +16,7 @@ Trained on something.
 | model | input | accuracy |
 | --- | --- | --- |
 | A [k=5] | pc | 60.0 |
+| A [k=5; recipe lr=0.002] | pc | 55.0 |
 | B | pc | 50.0 |
 
 ## toy, aligned, mini
@@ -45,6 +46,7 @@ def test_the_header_chooses_the_columns_and_the_board_gives_the_rows():
 | accuracy | model |
 | --- | --- |
 | 60.0 | A [k=5] |
+| 55.0 | A [k=5; recipe lr=0.002] |
 | 50.0 | B |
 <!-- end -->
 Between.
@@ -55,6 +57,14 @@ Between.
 <!-- end -->
 """
     )
+    assert fill(made, BOARD) == made
+
+
+def test_rows_by_a_recipe_of_their_own_are_left_out_where_that_is_asked():
+    asked = DOCUMENT.replace("toy, partial, mini", "toy, partial, mini; without recipe")
+    made = fill(asked, BOARD)
+    assert "| 60.0 | A [k=5] |" in made
+    assert "55.0" not in made
     assert fill(made, BOARD) == made
 
 
