@@ -1,8 +1,11 @@
 """A campaign says what is done by the records, data and failures that are there."""
 
 import json
+import os
 import shutil
+import socket
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,7 @@ from partialbench.benchmark.campaign.declare import declare
 from partialbench.benchmark.campaign.failures import FAILURES, Failures, failure_key
 from partialbench.benchmark.campaign.file import load
 from partialbench.benchmark.campaign.jobs import all_jobs
-from partialbench.benchmark.campaign.status import status
+from partialbench.benchmark.campaign.status import RUNNING, status
 from partialbench.benchmark.records import declared, results
 from partialbench.benchmark.run import run_eval
 from partialbench.benchmark.training.train import DivergedError
@@ -69,6 +72,28 @@ def test_what_is_trained_and_what_is_wholly_tested_are_told_apart(campaign, in_t
     assert "64      2 of 2 trained, 1 wholly tested" in text
     assert "64      0 of 1 done" in text  # the trial
     assert "tests alone of 1 trainings, not counted" in text
+
+
+@pytest.mark.parametrize(
+    ("host", "pid", "age_s", "believed"),
+    [
+        ("here", os.getpid(), 0, True),
+        ("here", 2**22 + 1, 0, False),  # no process has this number
+        ("elsewhere", os.getpid(), 60, True),
+        ("elsewhere", os.getpid(), 3600, False),
+    ],
+)
+def test_what_a_killed_campaign_left_is_not_running(campaign, host, pid, age_s, believed):
+    job = all_jobs(campaign)[0]
+    path = campaign.work / RUNNING
+    path.parent.mkdir(parents=True, exist_ok=True)
+    name = socket.gethostname() if host == "here" else f"not-{socket.gethostname()}"
+    path.write_text(json.dumps({"pid": pid, "host": name, "jobs": [job.as_dict()]}))
+    written = time.time() - age_s
+    os.utime(path, (written, written))
+    found = status(campaign)
+    assert found.running == ([job] if believed else [])
+    assert (job in found.missing) is not believed
 
 
 def test_a_record_without_the_precision_of_its_training_is_of_a_full_one(campaign, in_this_process):

@@ -30,7 +30,7 @@ from partialbench.benchmark.campaign.failures import (
 from partialbench.benchmark.campaign.file import Campaign, DataSet
 from partialbench.benchmark.campaign.jobs import Job, all_jobs, json_text
 from partialbench.benchmark.campaign.ledger import Ledger
-from partialbench.benchmark.campaign.status import RUNNING, Status, status
+from partialbench.benchmark.campaign.status import HEARTBEAT_S, RUNNING, Status, status
 from partialbench.benchmark.campaign.worker import (
     DIVERGED,
     DONE,
@@ -159,6 +159,7 @@ class _Runner:
         self.running: dict[Future, Job] = {}
         self.unrendered: dict[str, str] = {}
         self.killed: set[str] = set()
+        self.told = 0.0  # when the file of what is running was last written
 
     def ledger(self) -> Ledger:
         """What is done now, of what can be; a grid that cannot be made holds up no training."""
@@ -203,6 +204,8 @@ class _Runner:
                 if not self.running:
                     return not stopped and not any(map(self.wanted, state.missing))
                 done, _ = wait(self.running, timeout=2.0, return_when=FIRST_COMPLETED)
+                if time.monotonic() - self.told > HEARTBEAT_S:
+                    self._write_running()
                 if self.is_over():
                     self.stop.touch()
                 for future in done:
@@ -297,6 +300,7 @@ class _Runner:
             "jobs": [job.as_dict() for job in self.running.values()],
         }  # fmt: skip
         write_atomically(self.campaign.work / RUNNING, json.dumps(content).encode())
+        self.told = time.monotonic()
 
 
 def _answer(future: Future, job: Job) -> dict[str, Any]:

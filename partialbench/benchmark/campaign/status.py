@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from partialbench.benchmark.campaign.ledger import Ledger
 from partialbench.benchmark.protocol import milestones
 
 RUNNING = "running.json"
+HEARTBEAT_S, GONE_AFTER_S = 60.0, 600.0
+"""How often a campaign writes ``RUNNING`` anew, and the age at which one of another machine, whose
+processes cannot be asked for, is taken for what a killed one left behind."""
 MOST_NOTES = 3
 
 
@@ -142,7 +146,11 @@ def read_running(path: Path) -> set[Job]:
 
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if content["host"] == socket.gethostname() and not _alive(content["pid"]):
+        if content["host"] == socket.gethostname():
+            is_gone = not _alive(content["pid"])
+        else:
+            is_gone = time.time() - path.stat().st_mtime > GONE_AFTER_S
+        if is_gone:
             return set()
         return {from_dict(fields) for fields in content["jobs"]}
     except (OSError, ValueError, KeyError, TypeError):
