@@ -1,11 +1,12 @@
 """Two trained weights on the validation split of their training, told apart by a paired test.
 
     python -m leaderboard.validation RUN_A RUN_B --data DIR [--options-b refine=4 votes=8]
+    python -m leaderboard.validation RUN RUN --data DIR --points-b 512 --options-b votes=2
 
 What is chosen by a trial is chosen here: on training objects that neither has seen, never on the
 test split, which is not opened; on every validation cloud, where the figure of a trial itself is
 of as many as the protocol tests at most. A run is its folder or a checkpoint; the same weights may
-be given twice, with options that act at test alone. Speaks of the networks at hand; give several
+be given twice, with options that act at test alone, or with more points of each cloud. Speaks of the networks at hand; give several
 seeds'.
 """
 
@@ -47,12 +48,14 @@ def compare(
     a: Sequence[tuple[Path, Mapping[str, Any]]],
     b: Sequence[tuple[Path, Mapping[str, Any]]],
     train_set: Clouds,
+    of_b: Clouds | None = None,
 ) -> Paired:
     """Compares the mean of some trainings with that of others, cloud by cloud.
 
     Args:
         a, b: runs and options to build each with beside its own; as many of each, one a seed.
         train_set: what they were trained on.
+        of_b: the same with another number of points a cloud, for b.
 
     Raises:
         InputError: a run that was trained on other data or another split, or not finished.
@@ -60,8 +63,9 @@ def compare(
     if len(a) != len(b):
         raise InputError(f"as many runs of each are compared, got {len(a)} and {len(b)}")
     right, rows = [], None
-    for path, options in (*a, *b):
-        answered, of_run = _right(path, options, train_set)
+    seen = [train_set] * len(a) + [of_b or train_set] * len(b)
+    for (path, options), clouds in zip((*a, *b), seen, strict=True):
+        answered, of_run = _right(path, options, clouds)
         if rows is not None and not np.array_equal(rows, of_run):
             raise InputError(f"{path} validates on other clouds than the runs before it")
         rows = of_run
@@ -104,6 +108,7 @@ def main() -> None:
     parser.add_argument("b", help="as many of what was tried")
     parser.add_argument("--data", type=Path, required=True, help="the data folder trained on")
     parser.add_argument("--points", type=int, default=256)
+    parser.add_argument("--points-b", type=int, help="as many for both by default")
     parser.add_argument("--options-b", nargs="*", default=[], help="at test alone: votes=8")
     given = parser.parse_args()
     changed = {name: plain(value) for name, _, value in (o.partition("=") for o in given.options_b)}
@@ -111,6 +116,7 @@ def main() -> None:
         [(Path(each), {}) for each in given.a.split(",")],
         [(Path(each), changed) for each in given.b.split(",")],
         ShardDataset(given.data, "train", given.points),
+        given.points_b and ShardDataset(given.data, "train", given.points_b),
     )
     sys.stdout.write(
         f"{100 * found.a:.1f} % against {100 * found.b:.1f} %: {100 * found.gain:+.1f} "
