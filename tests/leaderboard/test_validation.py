@@ -60,6 +60,15 @@ def test_options_that_act_at_test_alone_are_tried_on_the_same_weights(trained):
         compare([(learnt[0], {})], [(learnt[0], {"width": 16})], train_set)
 
 
+def test_the_other_may_read_more_points_of_the_same_clouds(trained):
+    data, learnt, *_ = trained
+    few, many = (ShardDataset(data, "train", points) for points in (32, 64))
+    one, other = [(learnt[0], {})], [(learnt[1], {})]
+    found = compare(one, other, few, many)
+    assert found.a == compare(one, other, few).a
+    assert found.b == compare(one, other, many).b
+
+
 def test_what_cannot_be_compared_is_refused(trained, tmp_path):
     data, learnt, never, _ = trained
     train_set = ShardDataset(data, "train", 64)
