@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from leaderboard import consistency
+from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import PREDICTIONS_SUFFIX, SUFFIX, Result
 from partialbench.benchmark.records.testsets import GroundTruth
@@ -105,7 +106,7 @@ def _unlike_trainings(found: Found) -> Iterator[str]:
             f"{name} ({now!r}, {then!r})"
             for name, now, then in (
                 ("options", result.options, before.options),
-                ("recipe", result.recipe, before.recipe),
+                ("recipe", recipes.of_training(result.recipe), recipes.of_training(before.recipe)),
                 ("parameters", result.cost["parameters"], before.cost["parameters"]),
                 ("training clouds", result.train_data.clouds, before.train_data.clouds),
             )

@@ -29,7 +29,7 @@ from leaderboard.tables.text import layout_as_markdown
 from leaderboard.words import difference, percent
 from partialbench import registry
 from partialbench.benchmark.protocol import milestones
-from partialbench.benchmark.protocol.recipe import LATER
+from partialbench.benchmark.protocol.recipe import LATER, of_training
 from partialbench.benchmark.records import results
 from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing.uncertainty import Contrast, contrast
@@ -171,7 +171,7 @@ def _require_alike(cells: Mapping[Cell, list[Result]], factors: Sequence[str]) -
 def _beside(result: Result, factors: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """What must be the same in all cells: everything but the factors."""
     fields = {
-        **{f"recipe {k}": v for k, v in result.recipe.items()},
+        **{f"recipe {k}": v for k, v in of_training(result.recipe).items()},
         **{f"protocol {k}": v for k, v in result.protocol.items() if k != "preset"},
         **{f"option {k}": v for k, v in result.options.items()},
         "model": result.model, "trained on": result.train_data.digest, "clouds": result.clouds,

@@ -105,6 +105,15 @@ def test_a_record_without_the_precision_of_its_training_is_of_a_full_one(campaig
     assert [job.clouds for job in status(campaign).done] == [32]
 
 
+def test_a_record_whose_recipe_has_its_notes_in_other_words_counts(campaign, in_this_process):
+    running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
+    (path,) = campaign.results.glob(f"*{results.SUFFIX}")
+    record = json.loads(path.read_text())
+    record["recipe"]["notes"] = "Said otherwise before."
+    path.write_text(json.dumps({**record, "record_sha256": results.record_digest(record)}))
+    assert [job.clouds for job in status(campaign).done] == [32]
+
+
 def test_a_fine_tuned_record_is_not_the_training_that_is_asked_for(campaign, in_this_process):
     running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
     run_eval(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import signal
@@ -247,6 +248,18 @@ def test_a_trunk_of_another_training_is_refused(tmp_path):
     run(tmp_path, 300)
     with pytest.raises(ConfigurationMismatchError, match=r"seed: 0 there, 1 now.*--restart"):
         train(a_task(seed=1), Fabric(accelerator="cpu", devices=1), tmp_path, 600)
+
+
+def test_a_recipe_whose_notes_are_in_other_words_is_no_other_training(tmp_path, taken):
+    run(tmp_path, 300)
+    taken.clear()
+    task = a_task()
+    said = dataclasses.replace(task, recipe=dataclasses.replace(RECIPE, notes="As published."))
+    train(said, Fabric(accelerator="cpu", devices=1), tmp_path, 600)
+    assert taken == list(range(24, 60))
+    other = dataclasses.replace(task, recipe=dataclasses.replace(RECIPE, lr=0.5))
+    with pytest.raises(ConfigurationMismatchError, match=r"recipe: .*'lr': 0.001.* there"):
+        train(other, Fabric(accelerator="cpu", devices=1), tmp_path, 600)
 
 
 def test_the_log_has_lines_of_the_trunk_and_of_the_branch(tmp_path, monkeypatch):

@@ -87,12 +87,12 @@ class Ledger:
         return next((self._failed[key] for key in keys_of(job) if key in self._failed), "")
 
     def recipe_of(self, job: Job) -> str:
-        """The whole recipe that a job trains by, as JSON text."""
+        """What a job's training depends on of its recipe, as JSON text."""
         key = (job.model, job.recipe, job.protocol)
         if key not in self._recipes:
             own = recipes.of_protocol(card_of(job.model), self.protocol_of(job))
             used = recipes.override(own, json.loads(job.recipe))
-            self._recipes[key] = json_text(recipes.as_dict(used))
+            self._recipes[key] = json_text(recipes.of_training(recipes.as_dict(used)))
         return self._recipes[key]
 
     def protocol_of(self, job: Job) -> Protocol:
@@ -140,7 +140,8 @@ class Ledger:
             return
         self._done.add(
             (
-                result.model, json_text(result.options), json_text(result.recipe),
+                result.model, json_text(result.options),
+                json_text(recipes.of_training(result.recipe)),
                 result.training["environment"].get("precision", FULL_PRECISION), result.seed,
                 result.clouds,
                 result.protocol_digest, result.train_data.digest, test.digest,

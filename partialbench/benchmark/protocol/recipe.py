@@ -118,6 +118,14 @@ def as_dict(recipe: Recipe) -> dict[str, Any]:
     return fields
 
 
+def of_training(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """What a training depends on, of a recipe as plain data: all but the notes, which are prose.
+
+    A sentence that is put in other words makes no other training.
+    """
+    return {name: value for name, value in fields.items() if name != "notes"}
+
+
 def deviations(
     published: Recipe, used: Recipe, protocol: Protocol, train_clouds: int, clouds: int
 ) -> list[str]:

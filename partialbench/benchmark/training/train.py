@@ -233,6 +233,10 @@ class _Course:
 def _require_same_training(
     saved: dict[str, Any], identity: dict[str, Any], path: Path, folder: Path
 ) -> None:
+    saved, identity = (
+        {**content, "recipe": recipes.of_training(content["recipe"])}
+        for content in (saved, identity)
+    )
     differing = [name for name in checkpoint.IDENTITY if saved[name] != identity[name]]
     if differing:
         details = "; ".join(f"{n}: {saved[n]!r} there, {identity[n]!r} now" for n in differing)
