@@ -105,7 +105,7 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
         points = points[np.isfinite(points).all(axis=1)]
     else:
         cloud = parse_cloud(content, str(path))
-        points = cloud.points[np.isfinite(cloud.points).all(axis=1)]
+        points = _finite(cloud.points, path)
         if cloud.columns > 3:
             log.warning(
                 "%s: of %d columns the first three are taken for x, y, z", path, cloud.columns
@@ -128,7 +128,17 @@ def given_points(points: Any, name: str = "the cloud") -> NDArray[np.float64]:
         InputError: see ``given.cloud`` and ``read_points``.
     """
     array = given.cloud(points, name).astype(np.float64)
-    return shaped(array[np.isfinite(array).all(axis=1)], name)
+    return shaped(_finite(array, name), name)
+
+
+def _finite(points: NDArray, name: Path | str) -> NDArray:
+    """Without those that are not: NaN says that nothing was measured, infinity may say another."""
+    if infinite := int(np.isinf(points).any(axis=1).sum()):
+        log.warning(
+            "%s: %d of %d points are infinite and were left out; floats of 16 bits overflow above "
+            "65504", name, infinite, len(points),
+        )  # fmt: skip
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def shaped(points: NDArray, path: Path | str) -> NDArray[np.float64]:

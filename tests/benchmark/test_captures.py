@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 from typer.testing import CliRunner
 
-from partialbench.benchmark.captures import captures, read_points
+from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.predict import Classifier, find_checkpoint
 from partialbench.cli import app
 from partialbench.errors import InputError
@@ -178,6 +178,22 @@ def test_zeros_where_nothing_was_measured_are_left_out(tmp_path, rng, caplog):
     ):
         np.save(tmp_path / "a.npy", kept)
         assert np.array_equal(read_points(tmp_path / "a.npy"), kept)
+    assert not caplog.records
+
+
+def test_points_that_overflowed_are_not_left_out_in_silence(tmp_path, rng, caplog):
+    points = rng.standard_normal((200, 3))
+    points[:30, 1] = 1e6
+    points[30:40] = np.nan  # where nothing was measured, which needs no word
+    with np.errstate(over="ignore"):
+        half = points.astype(np.float16)
+    np.save(tmp_path / "half.npy", half)
+    for read in (lambda: read_points(tmp_path / "half.npy"), lambda: given_points(half)):
+        caplog.clear()
+        assert np.array_equal(read(), half[40:])
+        assert "30 of 200 points are infinite and were left out" in caplog.text
+    caplog.clear()
+    given_points(half[30:])
     assert not caplog.records
 
 
