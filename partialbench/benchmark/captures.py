@@ -77,15 +77,7 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
         InputError: a file that cannot be read, or whose points are no shape: too few distinct ones,
             all on a line, or of an extent that 32 bits cannot work with.
     """
-    if not path.is_file():
-        where = "is not there"
-        if path.is_dir():
-            where = "is a folder; give one of its files"
-        elif path.is_symlink():
-            where = f"is a link to {path.readlink()}, where none is"
-        elif path.exists():
-            where = "is a pipe or a device"
-        raise InputError(f"no file at {path}: it {where}")
+    _require_file(path)
     kind = path.suffix.lower()
     if kind not in (*FORMATS, *IMAGES):
         mesh = kind in (".off", ".obj", ".stl", ".glb", ".gltf", ".dae")
@@ -116,6 +108,22 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
                 "render a view first (partialbench.render_view)", path, len(points),
             )  # fmt: skip
     return shaped(points, path)
+
+
+def _require_file(path: Path) -> None:
+    try:
+        if path.is_file():
+            return
+        where = "is not there"
+        if path.is_dir():
+            where = "is a folder; give one of its files"
+        elif path.is_symlink():
+            where = f"is a link to {path.readlink()}, where none is"
+        elif path.exists():
+            where = "is a pipe or a device"
+    except OSError as error:  # of what lies in a closed folder not even the kind is told
+        raise InputError(f"{path} cannot be read: {error}") from error
+    raise InputError(f"no file at {path}: it {where}")
 
 
 def given_points(points: Any, name: str = "the cloud") -> NDArray[np.float64]:

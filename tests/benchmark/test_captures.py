@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -278,6 +279,13 @@ def test_a_folder_that_cannot_be_opened_is_named(tmp_path, rng, caplog, monkeypa
             raise PermissionError(13, "Permission denied", os.fspath(path))
         return opened(path)
 
+    def is_file(path):
+        raise PermissionError(13, "Permission denied", os.fspath(path))
+
+    with monkeypatch.context() as patch:  # a folder that lists its files and opens none
+        patch.setattr(Path, "is_file", is_file)
+        with pytest.raises(InputError, match=r"a\.npy cannot be read: .*Permission denied"):
+            read_points(tmp_path / "a.npy")
     monkeypatch.setattr(os, "scandir", scandir)
     assert [path.name for path in captures(tmp_path)] == ["a.npy"]
     assert f"{tmp_path / 'closed'} (Permission denied)" in caplog.text
