@@ -49,12 +49,12 @@ def whole_number(value: Any, name: str, least: int | None = None) -> int:
 
 
 def positive(value: Any, name: str) -> float:
-    """A finite number above 0."""
+    """A finite number above 0; a truth value is none."""
     try:
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
-    if not 0 < number < math.inf or isinstance(value, str):
+    if not 0 < number < math.inf or isinstance(value, str | bool | np.bool_):
         raise InputError(f"{name} must be a finite number above 0, got {value!r}")
     return number
 
@@ -122,13 +122,11 @@ def _dimensions(points: Any) -> int:
 
 def rotations(R: Any, name: str, count: int) -> NDArray[np.float64]:
     """(count,3,3); one (3,3) stands for itself where one is expected."""
-    try:
-        given = np.asarray(R, np.float64)
-    except (TypeError, ValueError, RuntimeError):
-        given = np.zeros(0)
-    given = given[None] if given.ndim == 2 else given
+    array = _array(R, name, "(3,3)")
+    given = array[None] if array.ndim == 2 else array
     if given.shape != (count, 3, 3):
-        raise InputError(f"{name} has shape {np.shape(R)}, expected (3,3) for each of {count}")
+        raise InputError(f"{name} has shape {array.shape}, expected (3,3) for each of {count}")
+    given = _real(given, name, "(3,3)").astype(np.float64)
     if not is_rotation(given, 1e-3).all():
         raise InputError(f"{name} is no rotation: R·Rᵀ must be the identity, det R = 1")
     return given
@@ -141,29 +139,52 @@ def cloud(points: Any, name: str = "the cloud") -> NDArray:
         points: an array, nested lists, or a tensor on whatever device.
 
     Raises:
-        InputError: another shape (further columns are refused), no real numbers, or an array of
-            NumPy's with masked points, which would count like the others.
+        InputError: another shape (further columns are refused), no real numbers, an array of
+            NumPy's with masked points, which would count like the others, or a table of pandas'
+            that names its columns x, y, z in another order.
     """
-    if hasattr(points, "detach"):
-        points = points.detach().cpu()
-        if points.is_floating_point():  # NumPy has no bfloat16
-            points = points.double()
-        points = points.numpy()
-    if isinstance(points, np.ma.MaskedArray):
-        if np.ma.is_masked(points):
-            raise InputError(
-                f"{name} has masked points; leave them out: np.ma.compress_rows(points)"
-            )
-        points = points.data
-    try:
-        array = np.asarray(points)
-    except ValueError as error:
-        raise InputError(f"{name} is no array, expected (N,3): {error}") from error
+    array = _array(points, name, "(N,3)")
     if array.ndim != 2 or array.shape[1] != 3:
         hint = "; transpose it" if array.ndim == 2 and array.shape[0] == 3 else ""
         raise InputError(
             f"{name} is a {type(points).__name__} of shape {array.shape}, expected (N,3){hint}"
         )
+    names = [str(column).lower() for column in getattr(points, "columns", ())]
+    if names != ["x", "y", "z"] and sorted(names) == ["x", "y", "z"]:
+        raise InputError(
+            f"{name} has the columns {', '.join(names)}; give them in the order x, y, z"
+        )
+    return _real(array, name, "(N,3)")
+
+
+def real_numbers(value: Any, name: str, expected: str) -> NDArray[np.float64]:
+    """An array of float64 of whatever holds real numbers; errors say the ``expected`` shape.
+
+    Raises:
+        InputError: texts, complex numbers (whose imaginary part NumPy would drop), truth values, or
+            no array.
+    """
+    return _real(_array(value, name, expected), name, expected).astype(np.float64)
+
+
+def _real(array: NDArray, name: str, expected: str) -> NDArray:
     if array.dtype.kind not in "fiu":
-        raise InputError(f"{name} is of type {array.dtype}, expected (N,3) real numbers")
+        raise InputError(f"{name} is of type {array.dtype}, expected {expected} real numbers")
     return array
+
+
+def _array(value: Any, name: str, expected: str) -> NDArray:
+    """NumPy's array of an array, nested lists, or a tensor of any kind and device."""
+    try:
+        if hasattr(value, "detach"):
+            value = value.detach().cpu()
+            if value.is_floating_point():  # NumPy has no bfloat16
+                value = value.double()
+            value = value.numpy()
+        if not isinstance(value, np.ma.MaskedArray):
+            return np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, sparse tensors
+        raise InputError(f"{name} is no array, expected {expected}: {error}") from error
+    if np.ma.is_masked(value):
+        raise InputError(f"{name} has masked points; leave them out: np.ma.compress_rows(points)")
+    return value.data

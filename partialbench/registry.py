@@ -259,10 +259,12 @@ def list_models(pattern: str = "*", pretrained: bool = False) -> list[str]:
     >>> list_models("papnet*")
     ['papnet', 'papnet-steered', 'papnet-steered-nopose']
     """
+    from partialbench import given
     from partialbench.benchmark.records import weights  # pydantic, not by every --help
 
     if not isinstance(pattern, str):
         raise InputError(f"a pattern of names is a text such as 'pointnet*', got {pattern!r}")
+    pretrained = given.truth(pretrained, "pretrained")
     packed = weights.names()
     return [
         name

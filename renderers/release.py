@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench import given
 from partialbench.dataset.build import BuildPlan, build
 from partialbench.dataset.categories import MODELNET40, PS15
 from partialbench.dataset.executors import InlineExecutor
@@ -55,7 +56,7 @@ def read_release(folder: str | PathLike[str]) -> dict[str, ReleasedSplit]:
         InputError: a file is missing or not a plain array, a shape is not as above, counts differ,
             labels are not whole numbers of a class, or a matrix is not a rotation.
     """
-    folder = Path(folder)
+    folder = given.path(folder, "the release")
     names = [f"{s}_{what}.npy" for s in SPLITS for what in ("points", "labels", "gt_rot")]
     missing = [name for name in names if not (folder / name).is_file()]
     if missing:
@@ -85,7 +86,7 @@ def import_release(
         InputError: as ``read_release``; the labels do not tell the data set and it is not given, or
             they do not fit it. ConfigurationMismatchError: the folder holds other data.
     """
-    source = ReleasedRows(folder, data_set)
+    source = ReleasedRows(given.path(folder, "the release"), data_set)
     job = Job(
         source=source,
         occluder=AsReleased(),
@@ -96,7 +97,7 @@ def import_release(
         seed=0,
         min_visible=1,  # as released, whatever they show
     )
-    return build(BuildPlan(job, Path(out), SPLITS), InlineExecutor)
+    return build(BuildPlan(job, given.path(out, "the data folder"), SPLITS), InlineExecutor)
 
 
 @dataclass(frozen=True)
@@ -239,8 +240,11 @@ def _read_split(folder: Path, split: str) -> ReleasedSplit:
             f"{where}_points.npy is {points.dtype} {points.shape}, expected floats of shape (M,N,3)"
         )
     known = as_labels(labels, "label", len(MODELNET40), f"{where}_labels.npy")
-    if rotations.ndim != 3 or rotations.shape[1:] != (3, 3):
-        raise InputError(f"{where}_gt_rot.npy has shape {rotations.shape}, expected (M,3,3)")
+    if rotations.ndim != 3 or rotations.shape[1:] != (3, 3) or rotations.dtype.kind not in "fiu":
+        raise InputError(
+            f"{where}_gt_rot.npy is {rotations.dtype} {rotations.shape}, expected (M,3,3) real "
+            f"numbers"
+        )
     rows = {"points": len(points), "labels": len(labels), "gt_rot": len(rotations)}
     if len(set(rows.values())) > 1:
         raise InputError(f"{where}: the counts differ: {rows}")
@@ -249,9 +253,13 @@ def _read_split(folder: Path, split: str) -> ReleasedSplit:
 
 def _load(path: Path) -> NDArray:
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
         raise InputError(f"{path} is not a readable .npy array: {error}") from error
+    if not isinstance(array, np.ndarray):  # NumPy goes by the content, whatever it is called
+        array.close()
+        raise InputError(f"{path} is an archive of arrays (NPZ), expected one .npy array")
+    return array
 
 
 def _orthonormal(rotations: NDArray, where: str) -> NDArray[np.float64]:

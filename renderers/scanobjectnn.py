@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench import given
 from partialbench.dataset.build import BuildPlan, build
 from partialbench.dataset.executors import InlineExecutor
 from partialbench.dataset.manifest import Manifest
@@ -49,7 +50,7 @@ def import_scanobjectnn(folder: str | PathLike[str], out: str | PathLike[str]) -
     Raises:
         InputError: no pair or several, or arrays of another shape.
     """
-    source = ScannedObjects(folder)
+    source = ScannedObjects(given.path(folder, "the folder of ScanObjectNN"))
     job = Job(
         source=source,
         occluder=AsReleased(),
@@ -59,7 +60,8 @@ def import_scanobjectnn(folder: str | PathLike[str], out: str | PathLike[str]) -
         points=source.points_per_row,
         seed=0,
     )
-    return build(BuildPlan(job, Path(out), source.splits()), InlineExecutor)
+    plan = BuildPlan(job, given.path(out, "the data folder"), source.splits())
+    return build(plan, InlineExecutor)
 
 
 class ScannedObjects:

@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 import torch
 import trimesh
@@ -58,7 +59,7 @@ def test_one_or_several_a_text_is_one():
             given.several(wrong, "clouds")
 
 
-@pytest.mark.parametrize("value", [0, -1, np.nan, np.inf, "2", None, [1, 2]])
+@pytest.mark.parametrize("value", [0, -1, np.nan, np.inf, "2", None, [1, 2], True, np.True_])
 def test_a_scale_is_a_positive_number(value):
     with pytest.raises(InputError, match=r"^depth_scale must be a finite number above 0, got "):
         given.positive(value, "depth_scale")
@@ -106,6 +107,9 @@ def test_points_are_the_same_in_any_layout(sphere):
         (lambda p: np.ma.masked_array(p, p > 0.9), "has masked points; leave them out"),
         (lambda p: [[1.0, 2.0, 3.0], [1.0]], "is no array"),
         (lambda p: None, r"is a NoneType of shape \(\)"),
+        (lambda p: torch.tensor(p).to_sparse(), "is no array, expected .N,3.: .* Sparse"),
+        (lambda p: torch.tensor(p).to("meta"), "is no array, expected .N,3.: .* meta tensor"),
+        (lambda p: pandas.DataFrame(p, columns=["z", "Y", "x"]), "has the columns z, y, x; give"),
     ],
 )  # fmt: skip
 def test_what_are_no_points_is_said(sphere, change, message):
@@ -113,6 +117,17 @@ def test_what_are_no_points_is_said(sphere, change, message):
         given.cloud(change(sphere))
     with pytest.raises(InputError, match=message):
         pb.render_view(change(sphere), SEEN)
+
+
+def test_a_table_with_names_in_order_is_its_points(sphere):
+    for names in (["x", "y", "z"], ["X", "Y", "Z"], [0, 1, 2], ["a", "b", "c"]):
+        assert np.array_equal(given.cloud(pandas.DataFrame(sphere, columns=names)), sphere)
+
+
+def test_padding_is_no_part_of_a_complete_cloud(sphere):
+    """As in a folder of clouds: the zeros would be points in the middle of the object."""
+    with pytest.raises(InputError, match=r"50 of 692 points are \(0, 0, 0\)"):
+        pb.render_view(np.r_[sphere, np.zeros((50, 3))], SEEN)
 
 
 def test_an_empty_cloud_is_said():
@@ -127,6 +142,14 @@ def test_a_scene_is_all_its_meshes():
     assert np.array_equal(
         pb.render_view(trimesh.Scene([left, right]), SEEN, 64, 32).points, whole.points
     )
+
+
+def test_a_cloud_in_a_scene_is_not_left_out_in_silence(sphere):
+    scene = trimesh.Scene({"box": trimesh.creation.box(), "scan": trimesh.PointCloud(sphere)})
+    with pytest.raises(InputError, match="the scene's part 'scan' is a cloud, expected meshes"):
+        pb.render_view(scene, SEEN)
+    scene.delete_geometry("scan")
+    assert len(pb.render_view(scene, SEEN, 64, 32).points) == 64
 
 
 @pytest.mark.parametrize(
@@ -160,6 +183,11 @@ def test_far_away_half_a_sphere_is_seen():
         ({"sensor": None}, "a sensor is named by a text such as 'tof:0.5', got None"),
         ({"resolution": 10**6}, "resolution must be at most 16384, got 1000000"),
         ({"pose": "aligne"}, "no pose 'aligne'; did you mean aligned"),
+        ({"pose": (SEEN[0] + 0j, SEEN[1])}, "R of the pose is of type complex128"),
+        ({"pose": (SEEN[0], ["0", "0", "3"])}, "t of the pose is of type <U1"),
+        ({"depth": "no"}, "depth must be True or False, got 'no'"),
+        ({"normals": 1}, "normals must be True or False, got 1"),
+        ({"up": np.array((0, 0, 1))}, "up must be one of z, y, got array"),
     ],
 )
 def test_wrong_arguments_of_a_view(arguments, message):
@@ -176,6 +204,9 @@ def test_wrong_arguments_of_a_view(arguments, message):
         ({"fields": [3]}, "no field 3; known: K, R"),
         ({"transform": "mean"}, "transform must be something to call"),
         ({"folder": 3}, "the data folder must be a path"),
+        ({"folder": __file__}, "test_given.py is a file, expected a data folder"),
+        ({"fields": None}, "fields is empty: name one or more of points"),
+        ({"split": np.array(["train", "test"])}, 'split must be "train" or "test", got array'),
     ],
 )
 def test_wrong_arguments_of_a_data_set(folder, arguments, message):
@@ -275,6 +306,9 @@ def test_what_is_shown_is_taken_as_points_are(sphere):
         ({"R": np.eye(3) * 2}, "R is no rotation"),
         ({"R": np.full((3, 3), np.nan)}, "R is no rotation"),
         ({"R": "a"}, r"R has shape \(\), expected \(3,3\)"),
+        ({"R": np.eye(3) + 0j}, "R is of type complex128, expected"),
+        ({"R": [np.eye(3), None]}, "R is no array, expected"),
+        ({"split": "test"}, "split='test' is for a data folder; got a ndarray"),
     ],
 )
 def test_what_cannot_be_shown_is_said(sphere, arguments, message):
@@ -289,6 +323,20 @@ def test_what_cannot_be_shown_is_said(sphere, arguments, message):
         (lambda f: pb.show(f, seed=None), "seed must be a whole number, got None"),
         (lambda f: pb.look_at("abc"), "look_at: eye must be three finite numbers, got 'abc'"),
         (lambda f: pb.look_at((1, 2, 3j)), "look_at: eye must be three finite numbers"),
+        (lambda f: pb.look_at(np.array((1, 2, 3j))), "look_at: eye must be three finite numbers"),
+        (lambda f: pb.look_at(("1", "2", "3")), "look_at: eye must be three finite numbers"),
+        (lambda f: pb.show(pb.ShardDataset(f, "train", 16), split="test"), "is of 'train'"),
+        (
+            lambda f: pb.show(
+                pb.render_view(trimesh.creation.icosphere(2).vertices, SEEN), SEEN[0]
+            ),
+            "a View has its own pose",
+        ),
+        (lambda f: pb.ShardDataset(f, "train", 16).points([0], 3), "rng must be a numpy.random"),
+        (lambda f: pb.list_models(pretrained="no"), "pretrained must be True or False, got 'no'"),
+        (lambda f: pb.leaderboard(f, check="no"), "check must be True or False, got 'no'"),
+        (lambda f: pb.leaderboard(f, figures=1), "figures must be True or False, got 1"),
+        (lambda f: pb.leaderboard(f, on_progress=1), "on_progress must be something to call"),
         (lambda f: pb.list_models(None), "a pattern of names is a text"),
         (lambda f: pb.create_model("pointnet", 2.5), "num_classes must be a whole number, got 2.5"),
         (lambda f: pb.create_model("pointnet", True), "num_classes must be a whole number"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from partialbench import given
-from partialbench.dataset.cloud_files import FORMATS, read_cloud
-from partialbench.dataset.cloud_formats.points import padding
-from partialbench.dataset.cloud_formats.text import NUMBER
+from partialbench.dataset.cloud_files import FORMATS, parse_cloud
+from partialbench.dataset.cloud_formats.points import WIDEST, padding
 from partialbench.dataset.ply import is_mesh
 from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
@@ -25,8 +25,6 @@ log = logging.getLogger(__name__)
 MIN_POINTS = 16
 IMAGES = (".png", ".tif", ".tiff")
 
-MOST_COLUMNS = 16
-"""Of an array of points; a wider one is an image."""
 LEAST_EXTENT, MOST_EXTENT = 1e-5, 1e9
 """Of an object in whatever unit: models square and add coordinates in 32 bits."""
 LEAST_FLOAT32_STEPS = 1e4
@@ -36,17 +34,36 @@ LEAST_FLOAT32_STEPS = 1e4
 def captures(folder: Path) -> Iterator[Path]:
     """The files of a folder that can be read, at any depth, sorted; what is left out is named.
 
+    But for what is hidden: files and folders whose name begins with a dot. A file that is none by
+    more than its name (a link to nowhere) is among them, and is an error when it is read.
+
     Raises:
         InputError: none.
     """
-    files = sorted(p for p in folder.rglob("*") if p.is_file() and not p.name.startswith("."))
-    read = [path for path in files if path.suffix.lower() in (*FORMATS, *IMAGES)]
+    files: list[Path] = []
+    closed: list[str] = []
+
+    def not_opened(error: OSError) -> None:
+        closed.append(f"{error.filename} ({error.strerror})")
+
+    # Links to folders are not followed: one may lead back to where it lies.
+    for place, folders, names in os.walk(folder, onerror=not_opened):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        closed += [
+            f"{Path(place, name)} (a link; give the folder it leads to)"
+            for name in folders
+            if Path(place, name).is_symlink()
+        ]
+        files += [Path(place, name) for name in names if not name.startswith(".")]
+    read = sorted(path for path in files if path.suffix.lower() in (*FORMATS, *IMAGES))
+    if closed:
+        log.warning("%s: folders in it were not read: %s", folder, ", ".join(closed))
     if not read:
         raise InputError(f"{folder} holds no file of {', '.join((*FORMATS, *IMAGES))}")
-    if left := [path.name for path in files if path not in set(read)]:
+    if left := sorted({path.name for path in files} - {path.name for path in read}):
         shown = ", ".join(left[:5]) + (", …" if len(left) > 5 else "")
         log.warning("%s: %d of %d files are no cloud and no depth image: %s",
-                    folder, len(left), len(files), shown)  # fmt: skip
+                    folder, len(files) - len(read), len(files), shown)  # fmt: skip
     yield from read
 
 
@@ -60,9 +77,7 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
         InputError: a file that cannot be read, or whose points are no shape: too few distinct ones,
             all on a line, or of an extent that 32 bits cannot work with.
     """
-    if not path.is_file():
-        where = "is a folder; give one of its files" if path.is_dir() else "is not there"
-        raise InputError(f"no file at {path}: it {where}")
+    _require_file(path)
     kind = path.suffix.lower()
     if kind not in (*FORMATS, *IMAGES):
         mesh = kind in (".off", ".obj", ".stl", ".glb", ".gltf", ".dae")
@@ -81,15 +96,34 @@ def read_points(path: Path, K: ArrayLike | None = None, depth_scale: float = 1.0
         points = _from_depth(path, image, matrix, depth_scale)
         points = points[np.isfinite(points).all(axis=1)]
     else:
-        points = read_cloud(content, str(path), drop_unmeasured=True)
+        cloud = parse_cloud(content, str(path))
+        points = _finite(cloud.points, path)
+        if cloud.columns > 3:
+            log.warning(
+                "%s: of %d columns the first three are taken for x, y, z", path, cloud.columns
+            )
         if kind == ".ply" and is_mesh(content):
             log.warning(
                 "%s is a mesh: its %d vertices are taken for the points of a scan; of a CAD model "
                 "render a view first (partialbench.render_view)", path, len(points),
             )  # fmt: skip
-        if kind in (".xyz", ".txt", ".csv", ".pts"):
-            _say_columns(path, _columns_of_text(content))
     return shaped(points, path)
+
+
+def _require_file(path: Path) -> None:
+    try:
+        if path.is_file():
+            return
+        where = "is not there"
+        if path.is_dir():
+            where = "is a folder; give one of its files"
+        elif path.is_symlink():
+            where = f"is a link to {path.readlink()}, where none is"
+        elif path.exists():
+            where = "is a pipe or a device"
+    except OSError as error:  # of what lies in a closed folder not even the kind is told
+        raise InputError(f"{path} cannot be read: {error}") from error
+    raise InputError(f"no file at {path}: it {where}")
 
 
 def given_points(points: Any, name: str = "the cloud") -> NDArray[np.float64]:
@@ -102,7 +136,17 @@ def given_points(points: Any, name: str = "the cloud") -> NDArray[np.float64]:
         InputError: see ``given.cloud`` and ``read_points``.
     """
     array = given.cloud(points, name).astype(np.float64)
-    return shaped(array[np.isfinite(array).all(axis=1)], name)
+    return shaped(_finite(array, name), name)
+
+
+def _finite(points: NDArray, name: Path | str) -> NDArray:
+    """Without those that are not: NaN says that nothing was measured, infinity may say another."""
+    if infinite := int(np.isinf(points).any(axis=1).sum()):
+        log.warning(
+            "%s: %d of %d points are infinite and were left out; floats of 16 bits overflow above "
+            "65504", name, infinite, len(points),
+        )  # fmt: skip
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def shaped(points: NDArray, path: Path | str) -> NDArray[np.float64]:
@@ -158,71 +202,79 @@ def shaped(points: NDArray, path: Path | str) -> NDArray[np.float64]:
 def _image(content: bytes, path: Path, K: NDArray | None) -> NDArray | None:
     """What an image file holds, or an array that cannot be points; None for any other file."""
     kind = path.suffix.lower()
-    if kind not in (*IMAGES, ".npy"):
+    if kind in IMAGES:
+        return _pixels(content, path)
+    if kind != ".npy":
         return None
     try:
-        if kind in IMAGES:
-            from PIL import Image
-
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                with Image.open(io.BytesIO(content)) as image:
-                    if image.mode in ("1", "P"):
-                        what = "two values" if image.mode == "1" else "a palette"
-                        raise InputError(
-                            f"{path} is an image of {what}, not of depths; save the depths "
-                            f"themselves, in 16 bits"
-                        )
-                    if (pages := getattr(image, "n_frames", 1)) > 1:
-                        raise InputError(f"{path} has {pages} images; expected one, of depths")
-                    return np.asarray(image)
         array = np.load(io.BytesIO(content), allow_pickle=False)
-    except InputError:
-        raise
-    except Exception as error:  # each library fails in its own ways
+    except Exception as error:  # NumPy fails in several ways
         raise InputError(f"{path} cannot be read: {error}") from error
     if not isinstance(array, np.ndarray) or not (array.dtype.names or array.dtype.kind in "fiu"):
         raise InputError(f"{path} holds no array of real numbers")
     while array.ndim > 2 and len(array) == 1:
         array = array[0]
-    if array.dtype.names is None:
-        if not _are_points(array, K):
-            return array
-        _say_columns(path, min(array.shape))
-    return None
+    return None if array.dtype.names or _are_points(path, array, K) else array
 
 
-def _are_points(array: NDArray, K: NDArray | None) -> bool:
-    """Whether a 2-D array is of points, a row or a column each, and not a very narrow image.
+def _pixels(content: bytes, path: Path) -> NDArray:
+    """The pixels of a PNG or TIFF; whether they are depths is not asked here."""
+    from PIL import Image, UnidentifiedImageError
 
-    Further columns of a cloud are intensity, colours or normals. Intrinsics decide where they can
-    be such an image's, that is where their principal point lies in it.
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(io.BytesIO(content), formats=("PNG", "TIFF")) as image:
+                if image.mode in ("1", "P"):
+                    what = "two values" if image.mode == "1" else "a palette"
+                    raise InputError(
+                        f"{path} is an image of {what}, not of depths; save the depths "
+                        f"themselves, in 16 bits"
+                    )
+                if (pages := getattr(image, "n_frames", 1)) > 1:
+                    raise InputError(f"{path} has {pages} images; expected one, of depths")
+                return np.asarray(image)
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(
+            f"{path} cannot be read: it begins with {content[:8]!r}, as no PNG or TIFF does"
+        ) from None
+    except Exception as error:  # Pillow fails in its own ways
+        raise InputError(f"{path} cannot be read: {error}") from error
+
+
+def _are_points(path: Path, array: NDArray, K: NDArray | None) -> bool:
+    """Whether an array is of points, a row or a column each, and not an image.
+
+    Further columns of a cloud are intensity, colours or normals. Intrinsics decide of a very narrow
+    array: it is an image where their principal point lies in it.
+
+    Raises:
+        InputError: a narrow array that can be neither.
     """
     if array.ndim != 2:
         return False
     rows, columns = array.shape
     if columns == 3:
         return True
-    turned = rows in (3, 6) and columns > MOST_COLUMNS
-    if not (turned or (4 <= columns <= MOST_COLUMNS and rows > columns)):
+    if min(rows, columns) > WIDEST or (K is not None and _has_centre(array, K)):
         return False
-    if K is None:
+    if (rows in (3, 6) and columns > WIDEST) or (columns >= 4 and rows > columns):
         return True
+    if K is None:
+        return False
+    raise InputError(
+        f"{path} has shape {array.shape}: too narrow for a depth image, and the principal point of "
+        f"the intrinsics ({K[0, 2]:g}, {K[1, 2]:g}) is not in it; save a cloud as (N,3), a point a "
+        f"row"
+    )
+
+
+def _has_centre(image: NDArray, K: NDArray) -> bool:
+    """Whether the principal point lies in an image."""
     cx, cy = K[:2, 2]
-    return not (0 <= cx <= columns and 0 <= cy <= rows)
-
-
-def _columns_of_text(content: bytes) -> int:
-    for line in content.decode(errors="replace").splitlines():
-        if numbers := line.partition("#")[0].replace(",", " ").split():
-            # Where a header names the columns, its names say which are x, y, z.
-            return len(numbers) if all(map(NUMBER.fullmatch, numbers)) else 0
-    return 0
-
-
-def _say_columns(path: Path, columns: int) -> None:
-    if columns > 3:
-        log.warning("%s: of %d columns the first three are taken for x, y, z", path, columns)
+    return bool(0 <= cx <= image.shape[1] and 0 <= cy <= image.shape[0])
 
 
 def _intrinsics(K: ArrayLike | None) -> NDArray[np.float64] | None:
@@ -230,8 +282,8 @@ def _intrinsics(K: ArrayLike | None) -> NDArray[np.float64] | None:
     if K is None:
         return None
     try:
-        matrix = np.asarray(K, np.float64)
-    except (TypeError, ValueError):
+        matrix = given.real_numbers(K, "intrinsics", "(3,3)")
+    except InputError:
         matrix = np.zeros(0)
     if matrix.shape == (4,):
         fx, fy, cx, cy = matrix
@@ -243,7 +295,9 @@ def _intrinsics(K: ArrayLike | None) -> NDArray[np.float64] | None:
 
 def _from_depth(path: Path, image: NDArray, K: NDArray | None, scale: float) -> NDArray:
     if image.ndim != 2:
-        raise InputError(f"{path} has shape {image.shape}; a depth image is one channel (H,W)")
+        raise InputError(
+            f"{path} has shape {image.shape}; a depth image is one channel (H,W), a cloud is (N,3)"
+        )
     if K is None:
         raise InputError(
             f"{path} is a depth image of {image.shape[1]}×{image.shape[0]} pixels: its intrinsics "
@@ -251,6 +305,17 @@ def _from_depth(path: Path, image: NDArray, K: NDArray | None, scale: float) -> 
         )
     scale = given.positive(scale, "depth_scale")
     _require_depths(path, image)
+    if image.dtype == np.uint8:
+        log.warning(
+            "%s has 8 bits a pixel, at most 256 depths, as a picture to look at has; sensors write "
+            "16", path,
+        )  # fmt: skip
+    if not _has_centre(image, K):
+        log.warning(
+            "%s: the principal point (%g, %g) is not in the image of %d×%d pixels, as for a part "
+            "cut out of a larger one; intrinsics of another size of image would distort the cloud",
+            path, K[0, 2], K[1, 2], image.shape[1], image.shape[0],
+        )  # fmt: skip
     depth = image.astype(np.float64) * scale
     depth[~np.isfinite(depth)] = 0
     try:
@@ -270,6 +335,11 @@ def _require_depths(path: Path, image: NDArray) -> None:
                 f"which is no surface"
             )
     measured = image[np.isfinite(image) & (image > 0)]
+    if not len(measured) and (behind := int((image < 0).sum())):
+        raise InputError(
+            f"{path}: no depth is above 0 and {behind} are below; depth is z forward of the "
+            f"camera, so negate them"
+        )
     if len(measured) and (measured == measured[0]).all():
         raise InputError(
             f"{path}: all {len(measured)} pixels with a surface have the one depth "

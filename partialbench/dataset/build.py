@@ -7,7 +7,6 @@ are keyed, not sequenced; they are written in listing order; a finished shard is
 from __future__ import annotations
 
 import contextlib
-import pickle
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from partialbench.dataset.lock import FILES as LOCK_FILES
 from partialbench.dataset.lock import sole_user
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.names import printable
-from partialbench.dataset.rows import Job, ObjectRows
+from partialbench.dataset.rows import Job, ObjectRows, pickled
 from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.shards import (
     TEMPORARY_SUFFIX,
@@ -270,7 +269,7 @@ def _build_missing(
     missing = [s for s in slices if (s[0], s[1]) not in done]
     refs = [ref for _, _, slice_refs in missing for ref in slice_refs]
     results = run_in_order(
-        pickle.dumps(plan.job), refs, make_executor or (lambda: process_pool(workers)), workers
+        pickled(plan.job), refs, make_executor or (lambda: process_pool(workers)), workers
     )
     order = {(split, index): n for n, (split, index, _) in enumerate(slices)}
     table = _readable_table(plan.out)

@@ -63,7 +63,7 @@ def gallery(
     data: Any,
     R: ArrayLike | None = None,
     *,
-    split: str = "train",
+    split: str | None = None,
     samples: int = 6,
     seed: int = 0,
 ) -> Gallery:
@@ -73,12 +73,12 @@ def gallery(
         data: a data folder, a ``ShardDataset`` or ``TorchDataset``, a ``View``, or clouds (N,3),
             (B,N,3) or a list of any sizes, camera frame.
         R: the pose R_camera_object (3,3) or (B,3,3) of given clouds, drawn as the object's axes.
-        split: of a data folder.
+        split: of a data folder, "train" where it is not said.
         samples: how many rows of a data set.
         seed: which ones.
 
     Raises:
-        InputError: nothing of the kind.
+        InputError: nothing of the kind, or a pose or a split of what has its own.
 
     ::
 
@@ -89,13 +89,20 @@ def gallery(
     shards = getattr(data, "shards", data)
     if isinstance(shards, str | Path):
         stored = int(manifests.load(Path(shards)).configuration["points"])
+        split = "train" if split is None else split
         shards = ShardDataset(shards, split, min(POINTS, stored))
+    own = getattr(shards, "split", None)  # of a data set that is open
+    if split is not None and split != own:
+        what = f"this data set is of {own!r}" if own else f"got a {type(data).__name__}"
+        raise InputError(f"split={split!r} is for a data folder; {what}")
     if isinstance(shards, ShardDataset):
         if R is not None:
             raise InputError("R belongs to given clouds; a data set has its own poses")
         rows = choose_rows(shards.labels, samples, seed)
         return Gallery(f"{shards.dataset_id} · {shards.split}", samples_of(shards, rows))
     if isinstance(data, View):
+        if R is not None:
+            raise InputError("a View has its own pose; to draw another, give its points and R")
         title = f"{data.visible_fraction:.0%} of the surface seen"
         return Gallery("a view", [_sample(title, data.points, data.R_camera_object, data.depth)])
     clouds, _ = given.clouds(data, "a data folder, a data set, a View, or clouds (N,3) or (B,N,3)")

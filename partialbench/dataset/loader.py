@@ -77,6 +77,8 @@ class ShardDataset:
         self.folder = given.path(folder, "the data folder")
         self.split = split
         self.num_points = num_points = given.whole_number(num_points, "num_points", 1)
+        if not isinstance(split, str):
+            raise InputError(f'split must be "train" or "test", got {split!r}')
         self.manifest = manifests.load(self.folder)
         if self.manifest.state != "complete":
             raise InputError(
@@ -221,6 +223,8 @@ class ShardDataset:
         distinct: bool,
     ) -> list[NDArray[np.float32]]:
         """The same part of each row's circle in each of the named fields."""
+        if not isinstance(rng, np.random.Generator | None):
+            raise InputError(f"rng must be a numpy.random.Generator or None, got {rng!r}")
         indices = self._checked(indices)
         fields = [np.zeros((len(indices), self.num_points, 3), np.float32) for _ in names]
         shard_of = np.searchsorted(self._first_row, indices, side="right") - 1

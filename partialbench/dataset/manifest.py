@@ -141,6 +141,8 @@ def bytes_sha256(data: bytes) -> str:
 def load(folder: Path) -> Manifest:
     """The manifest of a data folder; ``InputError`` when there is none or it is not readable."""
     path = Path(folder) / NAME
+    if Path(folder).is_file():
+        raise InputError(f"{folder} is a file, expected a data folder, which has a {NAME}")
     if not path.is_file():
         raise InputError(
             f"{folder} is not a data folder: it has no {NAME}. Make one with "

@@ -7,6 +7,7 @@ set, split, object id, view, purpose).
 from __future__ import annotations
 
 import pickle
+import uuid
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -285,11 +286,21 @@ def _stack(rows: list[dict[str, Any]]) -> Columns | None:
     return columns
 
 
+def pickled(job: Job) -> bytes:
+    """A job for ``run_pickled``, of this build alone.
+
+    A process may live through several builds (inline, a cluster's workers): an equal job of an
+    earlier one would be remembered with files as they were open then.
+    """
+    return pickle.dumps((uuid.uuid4().bytes, job))
+
+
 @lru_cache(maxsize=2)
 def _unpickled(payload: bytes) -> Job:
-    return pickle.loads(payload)
+    job: Job = pickle.loads(payload)[1]
+    return job
 
 
 def run_pickled(payload: bytes, ref: ObjectRef) -> ObjectRows:
-    """``make_rows`` for a pickled job, unpickled once per process: what an executor is given."""
+    """``make_rows`` for a ``pickled`` job, unpickled once a process: what an executor is given."""
     return make_rows(_unpickled(payload), ref)

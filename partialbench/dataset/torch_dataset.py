@@ -81,6 +81,8 @@ class TorchDataset(Dataset[Any]):
         transform: Callable[[Sample], Any] | None = None,
     ) -> None:
         fields = given.several(fields, "fields")
+        if not fields:
+            raise InputError(f"fields is empty: name one or more of {', '.join(FIELDS)}")
         for field in fields:
             if field not in FIELDS:
                 raise InputError(f"no field {field!r}{registry.close_matches(field, FIELDS)}")

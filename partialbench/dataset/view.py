@@ -78,12 +78,13 @@ def render_view(
     if num_points is not None:
         num_points = given.whole_number(num_points, "num_points", 1)
     seed = given.whole_number(seed, "seed")
+    depth, normals = given.truth(depth, "depth"), given.truth(normals, "normals")
     solid = registry.load(registry.READ_SHAPE)(shape, up)
     is_cloud = isinstance(solid, np.ndarray)
     asked = {"resolution": resolution, "sensor": sensor, "keep_depth": depth, "camera": camera}
     if is_cloud:
         defaults = {"resolution": 256, "sensor": "ideal", "keep_depth": False, "camera": None}
-        if foreign := [name for name, value in asked.items() if value != defaults[name]]:
+        if foreign := [name for name in asked if not _is(asked[name], defaults[name])]:
             raise InputError(
                 f"{foreign[0].removeprefix('keep_')}={asked[foreign[0]]!r} does not apply: the "
                 f"shape is a cloud, of which hidden points are removed; no image is formed"
@@ -106,6 +107,11 @@ def render_view(
     )
 
 
+def _is(value: Any, default: Any) -> bool:
+    """Whether an option was left as it is; an array, which is compared by element, was not."""
+    return np.ndim(value) == 0 and bool(value == default)
+
+
 def _pose(pose: Any, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     if isinstance(pose, str):
         if pose == "random":
@@ -116,11 +122,13 @@ def _pose(pose: Any, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64
             f"no pose {pose!r}{registry.close_matches(pose, ['random', 'aligned'])}; or give (R, t)"
         )
     try:
-        R, t = (np.asarray(part, np.float64) for part in pose)
+        R, t = pose
     except (TypeError, ValueError) as error:
         raise InputError(
             f"pose must be 'random', 'aligned' or (R (3,3), t (3,)), got {pose!r}"
         ) from error
+    R = given.real_numbers(R, "R of the pose", "(3,3)")
+    t = given.real_numbers(t, "t of the pose", "(3,)")
     if R.shape != (3, 3) or t.shape != (3,) or not is_rotation(R) or not np.isfinite(t).all():
         raise InputError(
             f"pose must be (R (3,3), t (3,)) with R a rotation, got shapes {R.shape} and "

@@ -155,8 +155,12 @@ def look_at(
     vectors = {}
     for name, value in given.items():
         try:
-            vectors[name] = np.asarray(value, np.float64)
-        except (TypeError, ValueError):  # texts and the like
+            vectors[name] = np.asarray(value)
+        except (TypeError, ValueError, RuntimeError):  # ragged lists, tensors with a gradient
+            vectors[name] = np.zeros(0)
+        if vectors[name].dtype.kind in "fiu":  # of texts NumPy makes numbers, of complex ones half
+            vectors[name] = vectors[name].astype(np.float64)
+        else:
             vectors[name] = np.zeros(0)
         if vectors[name].shape != (3,) or not np.isfinite(vectors[name]).all():
             raise InputError(f"look_at: {name} must be three finite numbers, got {value!r}")

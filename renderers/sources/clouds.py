@@ -97,7 +97,6 @@ class CompleteClouds:
         """
         name = printable(ref.location)
         stored, normals = self._store.cloud(ref)
-        _require_no_padding(stored, name)
         points = normalise_cloud(self._turned(stored), name)
         _, first = np.unique(points, axis=0, return_index=True)
         first.sort()
@@ -125,9 +124,10 @@ def normalise_cloud(points: NDArray, name: str = "the cloud") -> NDArray[np.floa
     """(n,3) points with the bounding-box centre at the origin and the largest norm 1, float32.
 
     Raises:
-        InputError: points that are not finite, or all at one place.
+        InputError: points that are not finite, all at one place, or padded with zeros.
     """
     points = np.asarray(points, np.float64)
+    _require_no_padding(points, name)
     if not np.isfinite(points).all():
         raise InputError(f"{name}: has points that are NaN or infinite")
     centred = points - (points.min(axis=0) / 2 + points.max(axis=0) / 2)

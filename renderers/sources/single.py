@@ -31,10 +31,10 @@ def read_shape(
     Raises:
         InputError: no such file or format, a file that is broken, or no shape.
     """
-    if up not in UPS:
+    if not isinstance(up, str) or up not in UPS:
         raise InputError(f"up must be one of {', '.join(UPS)}, got {up!r}")
     if isinstance(shape, trimesh.Scene):
-        shape = shape.to_mesh()
+        shape = _mesh_of(shape)
     if isinstance(shape, trimesh.Trimesh):
         return normalise(_turned(shape) if up == "y" else shape)
     if isinstance(shape, trimesh.PointCloud):
@@ -66,6 +66,17 @@ def _cloud(points: NDArray, up: str, name: str) -> NDArray[np.float32]:
         x, y, z = points.T
         points = np.stack([x, -z, y], axis=1)
     return normalise_cloud(points, name)
+
+
+def _mesh_of(scene: trimesh.Scene) -> trimesh.Trimesh:
+    """All of a scene's meshes as one; a cloud beside them would be lost without a word."""
+    for name, part in scene.geometry.items():
+        if isinstance(part, trimesh.PointCloud):
+            raise InputError(
+                f"the scene's part {name!r} is a cloud, expected meshes: delete it "
+                f"(scene.delete_geometry({name!r})), or give it by itself"
+            )
+    return scene.to_mesh()
 
 
 def _turned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

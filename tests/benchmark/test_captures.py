@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import trimesh
 from PIL import Image
 from typer.testing import CliRunner
 
-from partialbench.benchmark.captures import read_points
+from partialbench.benchmark.captures import captures, given_points, read_points
 from partialbench.benchmark.predict import Classifier, find_checkpoint
 from partialbench.cli import app
 from partialbench.errors import InputError
@@ -68,8 +70,30 @@ def test_depths_must_be_depths(tmp_path):
     Image.fromarray(depth).convert("L").convert("P").save(tmp_path / "palette.png")
     with pytest.raises(InputError, match="a palette"):
         read_points(tmp_path / "palette.png", K)
+    Image.fromarray(depth).convert("L").save(tmp_path / "photo.png", "JPEG")
+    with pytest.raises(InputError, match=r"begins with b'\\xff\\xd8.*', as no PNG or TIFF does"):
+        read_points(tmp_path / "photo.png", K)
+    np.save(tmp_path / "behind.npy", -depth.astype(float))
+    with pytest.raises(InputError, match=r"no depth is above 0 and 1024 are below; .* negate"):
+        read_points(tmp_path / "behind.npy", K)
+    np.save(tmp_path / "points.npy", np.ones((2, 40, 3)))
+    with pytest.raises(InputError, match=r"one channel \(H,W\), a cloud is \(N,3\)"):
+        read_points(tmp_path / "points.npy", K)
     Image.fromarray(depth).save(tmp_path / "good.png")
     assert len(read_points(tmp_path / "good.png", K, 0.001)) == 1024
+
+
+def test_what_may_be_no_depth_image_or_anothers_intrinsics_is_said(tmp_path, caplog):
+    depth = np.tile(np.arange(1000, 1032, dtype=np.uint16), (32, 1))
+    Image.fromarray(depth).save(tmp_path / "d.png")
+    Image.fromarray((depth // 8).astype(np.uint8)).save(tmp_path / "eight.png")
+    assert len(read_points(tmp_path / "d.png", (60, 60, 16, 16))) == 1024
+    assert not caplog.records
+    assert len(read_points(tmp_path / "d.png", (525, 525, 319.5, 239.5))) == 1024
+    assert "the principal point (319.5, 239.5) is not in the image of 32×32" in caplog.text
+    caplog.clear()
+    assert len(read_points(tmp_path / "eight.png", (60, 60, 16, 16))) == 1024
+    assert "has 8 bits a pixel, at most 256 depths" in caplog.text
 
 
 def test_an_array_of_more_columns_is_a_cloud_and_says_so(tmp_path, rng, caplog):
@@ -105,6 +129,37 @@ def test_an_array_is_read_as_a_cloud_file_is(tmp_path, rng, caplog):
     assert len(read_points(tmp_path / "a.npy", (30, 30, 15, 10))) == depth.size
 
 
+def test_an_array_too_narrow_for_an_image_is_none_by_intrinsics_of_another(tmp_path, rng):
+    """A point a column with a row of ones: with intrinsics of a camera it was read as depths."""
+    points = np.abs(rng.standard_normal((200, 3))) + 1
+    for array in (np.c_[points, np.ones(200)].T, np.c_[points, points, points[:, 0]].T,
+                  points[:, :2], points.reshape(1, -1)):  # fmt: skip
+        np.save(tmp_path / "a.npy", array)
+        with pytest.raises(InputError, match=r"too narrow for a depth image, .*\(319.5, 239.5\)"):
+            read_points(tmp_path / "a.npy", (525, 525, 319.5, 239.5))
+        with pytest.raises(InputError, match="its intrinsics are needed"):
+            read_points(tmp_path / "a.npy")
+        rows, columns = array.shape
+        inside = (9, 9, columns / 2, rows / 2)
+        assert len(read_points(tmp_path / "a.npy", inside)) == array.size
+
+
+def test_columns_that_are_left_aside_are_said_whatever_the_format(tmp_path, rng, caplog):
+    table = rng.standard_normal((50, 6)).round(4)
+    np.savez(tmp_path / "a.npz", points=table)
+    np.savetxt(tmp_path / "counted.pts", table, header="50", comments="")
+    (tmp_path / "wide.txt").write_text("\n".join(" ".join(map(str, row)) for row in table),
+                                       encoding="utf-16")  # fmt: skip
+    for name in ("a.npz", "counted.pts", "wide.txt"):
+        caplog.clear()
+        assert np.allclose(read_points(tmp_path / name), table[:, :3])
+        assert "of 6 columns the first three are taken" in caplog.text
+    caplog.clear()
+    np.savetxt(tmp_path / "named.txt", table, header="r g b x y z")
+    assert np.allclose(read_points(tmp_path / "named.txt"), table[:, 3:])
+    assert not caplog.records
+
+
 def test_an_image_of_depths_in_an_archive_is_no_cloud(tmp_path, rng):
     np.savez(tmp_path / "a.npz", depth=rng.random((48, 64)))
     with pytest.raises(InputError, match=r"\(48, 64\): an image, or 64 numbers a point"):
@@ -124,6 +179,22 @@ def test_zeros_where_nothing_was_measured_are_left_out(tmp_path, rng, caplog):
     ):
         np.save(tmp_path / "a.npy", kept)
         assert np.array_equal(read_points(tmp_path / "a.npy"), kept)
+    assert not caplog.records
+
+
+def test_points_that_overflowed_are_not_left_out_in_silence(tmp_path, rng, caplog):
+    points = rng.standard_normal((200, 3))
+    points[:30, 1] = 1e6
+    points[30:40] = np.nan  # where nothing was measured, which needs no word
+    with np.errstate(over="ignore"):
+        half = points.astype(np.float16)
+    np.save(tmp_path / "half.npy", half)
+    for read in (lambda: read_points(tmp_path / "half.npy"), lambda: given_points(half)):
+        caplog.clear()
+        assert np.array_equal(read(), half[40:])
+        assert "30 of 200 points are infinite and were left out" in caplog.text
+    caplog.clear()
+    given_points(half[30:])
     assert not caplog.records
 
 
@@ -175,6 +246,49 @@ def test_one_bad_file_of_a_folder_does_not_end_it(weights, tmp_path, rng):
     ran = CliRunner().invoke(app, command)
     assert ran.exit_code == 0
     assert ran.stdout.count("%") == 2
+
+
+def test_no_file_of_a_folder_is_left_out_in_silence(tmp_path, rng, caplog):
+    folder, other = tmp_path / "captures", tmp_path / "other"
+    for place in (folder / "dir.npy", folder / ".hidden", other):
+        place.mkdir(parents=True)
+        np.save(place / "a.npy", rng.standard_normal((80, 3)))
+    (folder / "link.npy").symlink_to(other / "a.npy")
+    (folder / "nowhere.npy").symlink_to(tmp_path / "absent")
+    (folder / "linked").symlink_to(other)
+    (folder / "loop").symlink_to(folder)
+    os.mkfifo(folder / "pipe.npy")
+    found = list(captures(folder))
+    assert [path.name for path in found] == ["a.npy", "link.npy", "nowhere.npy", "pipe.npy"]
+    assert found[0].parent.name == "dir.npy"
+    for name in ("linked", "loop"):
+        assert f"{folder / name} (a link; give the folder it leads to)" in caplog.text
+    for name, message in (("nowhere", "is a link to .*absent, where none is"),
+                          ("pipe", "is a pipe or a device")):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            read_points(folder / f"{name}.npy")
+
+
+def test_a_folder_that_cannot_be_opened_is_named(tmp_path, rng, caplog, monkeypatch):
+    (tmp_path / "closed").mkdir()
+    np.save(tmp_path / "a.npy", rng.standard_normal((80, 3)))
+    opened = os.scandir
+
+    def scandir(path):
+        if os.fspath(path).endswith("closed"):
+            raise PermissionError(13, "Permission denied", os.fspath(path))
+        return opened(path)
+
+    def is_file(path):
+        raise PermissionError(13, "Permission denied", os.fspath(path))
+
+    with monkeypatch.context() as patch:  # a folder that lists its files and opens none
+        patch.setattr(Path, "is_file", is_file)
+        with pytest.raises(InputError, match=r"a\.npy cannot be read: .*Permission denied"):
+            read_points(tmp_path / "a.npy")
+    monkeypatch.setattr(os, "scandir", scandir)
+    assert [path.name for path in captures(tmp_path)] == ["a.npy"]
+    assert f"{tmp_path / 'closed'} (Permission denied)" in caplog.text
 
 
 def test_a_mesh_is_no_scan_and_says_so(tmp_path, caplog):

@@ -63,6 +63,39 @@ def test_text_that_may_be_read_two_ways_is_refused(content: str, message: str) -
         read_cloud(content.encode(), "a.txt")
 
 
+SIX = "1 2 3 4 5 6\n6 5 4 3 2 1\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("# z y x\n" + SIX, "line 1 names 3 columns .z y x., the table has 6"),
+        ("// r g b X Y Z i\n" + SIX, "line 1 names 7 columns"),
+        ("# id x y z\n" + SIX, "line 1 names 4 columns"),
+        ("# lon,lat,alt\n1,2,3\n4,5,6\n", "line 1 names the columns lon, lat, alt; expected x, y"),
+        ("x,y\n1,2,3\n4,5,6\n", "names the columns x, y; .* a name for each of the 3 columns"),
+        ("id;r;g;b\n1;2;3;4;5\n", "names the columns id, r, g, b; .* each of the 5 columns"),
+    ],
+)
+def test_names_that_are_not_those_of_the_first_three_columns_are_refused(content, message) -> None:
+    with pytest.raises(InputError, match=message):
+        read_cloud(content.encode(), "a.txt")
+
+
+@pytest.mark.parametrize(
+    "comment",
+    ["# x y z", "# x, y, z in metres", "# Format: x y z", "# a scan of mine", "#",
+     "# frame: x right, y down, z forward", "# mug, scanned by me, 2020"],
+)  # fmt: skip
+def test_a_comment_in_prose_changes_nothing(comment: str, rng) -> None:
+    for columns in (3, 6):
+        table = rng.normal(size=(20, columns))
+        content = f"{comment}\n".encode() + written.text(table)
+        np.testing.assert_array_equal(read_cloud(content, "a.txt"), table[:, :3])
+    content = b"# columns are x, y, z\n" + written.text(table[:, :3], ",")
+    np.testing.assert_array_equal(read_cloud(content, "a.csv"), table[:, :3])
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -104,6 +137,14 @@ def test_an_archive_of_several_arrays_is_refused_by_its_keys(rng) -> None:
         read_cloud(written.npz(a=points, b=points), "a.npz")
     with pytest.raises(InputError, match="holds points, xyz; expected one array"):
         read_cloud(written.npz(points=points, xyz=points), "a.npz")
+    for name in ("normals", "Colors", "faces"):
+        with pytest.raises(InputError, match=f"holds {name}; expected one array, or one called"):
+            read_cloud(written.npz(**{name: points}), "a.npz")
+    with pytest.raises(InputError, match="holds arr_0, arr_1; expected one array"):
+        read_cloud(written.npz(arr_0=points, arr_1=points), "a.npz")
+    with pytest.raises(InputError, match="holds Points, points: one name twice"):
+        read_cloud(written.npz(Points=points, points=points), "a.npz")
+    np.testing.assert_array_equal(read_cloud(written.npz(arr_0=points), "a.npz"), points)
     with pytest.raises(InputError, match="its points fill space, they are on no surface"):
         read_cloud(written.npz(points=points, occupancies=points[:, 0]), "a.npz")
 
@@ -187,6 +228,13 @@ def test_a_ply_may_name_its_axes_in_capitals(rng) -> None:
     rows = [" ".join(map(repr, row)) for row in points.tolist()]
     content = "\n".join([*header, *rows]).encode()
     np.testing.assert_array_equal(read_cloud(content, "a.ply"), points)
+
+
+def test_a_ply_of_other_properties_says_which(rng) -> None:
+    for encoding in ("ascii", "binary_big_endian"):
+        content = written.ply(rng.random((5, 3)), encoding).replace(b"double z", b"double w")
+        with pytest.raises(InputError, match="the properties red, x, y, w; expected x, y, z"):
+            read_cloud(content, "a.ply")
 
 
 def test_a_list_of_names_does_not_look_like_points() -> None:

@@ -15,6 +15,7 @@ from partialbench.dataset.verify import verify
 from partialbench.errors import ConfigurationMismatchError, InputError
 from partialbench.geometry.rotations import haar_rotations
 from renderers.release import ReleasedRows, import_release, read_release
+from renderers.scanobjectnn import import_scanobjectnn
 
 
 def released(folder: Path, rng: np.random.Generator, classes: int = 40) -> dict[str, np.ndarray]:
@@ -152,6 +153,8 @@ def test_missing_files_are_named(tmp_path: Path, rng: np.random.Generator) -> No
         ("train_labels", np.full(7, 40), "row 0 has label 40, but there are 40 class names"),
         ("train_labels", np.full(7, 1.5), r"row 0 of label is 1\.5, expected a whole number"),
         ("train_gt_rot", np.zeros((7, 9)), r"\(7, 9\), expected \(M,3,3\)"),
+        ("train_gt_rot", np.tile(np.eye(3), (7, 1, 1)) + 0j, "is complex128 .*real numbers"),
+        ("train_gt_rot", np.tile(np.eye(3), (7, 1, 1)).astype(str), "is <U32 .*real numbers"),
         ("train_gt_rot", -np.tile(np.eye(3), (7, 1, 1)), "7 of 7 matrices are no rotations"),
         ("train_gt_rot", 1.01 * np.tile(np.eye(3), (7, 1, 1)), "7 of 7 matrices are no rotations"),
     ],
@@ -168,6 +171,41 @@ def test_a_broken_file_is_told(tmp_path: Path, rng: np.random.Generator) -> None
     (tmp_path / "train_points.npy").write_bytes(b"not an array")
     with pytest.raises(InputError, match=r"train_points\.npy is not a readable \.npy array"):
         read_release(tmp_path)
+
+
+def test_an_archive_by_the_name_of_an_array_is_told(tmp_path, rng: np.random.Generator) -> None:
+    arrays = released(tmp_path, rng)
+    for name, array in arrays.items():
+        write(tmp_path, arrays)
+        with (tmp_path / f"{name}.npy").open("wb") as file:
+            np.savez(file, array)
+        with pytest.raises(InputError, match=rf"{name}\.npy is an archive of arrays \(NPZ\)"):
+            read_release(tmp_path)
+
+
+def test_what_is_no_folder_is_told(tmp_path: Path) -> None:
+    for folder, out in ((None, tmp_path), (tmp_path, None)):
+        with pytest.raises(InputError, match=r"must be a path|lacks train_points"):
+            import_release(folder, out)
+        with pytest.raises(InputError, match=r"must be a path|has no pairs"):
+            import_scanobjectnn(folder, out)
+
+
+def test_mended_files_are_read_again_in_the_same_process(tmp_path, rng) -> None:
+    """A build does not go on with files as an earlier one had them open."""
+    (tmp_path / "in").mkdir()
+    arrays = released(tmp_path / "in", rng)
+    import_release(tmp_path / "in", tmp_path / "before", "pm40")
+    for path in (tmp_path / "in").iterdir():
+        path.unlink()
+    arrays["train_points"] = arrays["train_points"][::-1] * (1, 2, 3)
+    write(tmp_path / "in", arrays)
+    import_release(tmp_path / "in", tmp_path / "after", "pm40")
+    given = arrays["train_points"][0]
+    stored = read_columns(tmp_path / "after" / "train-00000.h5")["points"][0]
+    centred = given - given.mean(axis=0)
+    expected = centred / np.linalg.norm(centred, axis=1).max()
+    np.testing.assert_allclose(np.sort(stored[:, 0]), np.sort(expected[:, 0]), atol=1e-6)
 
 
 def test_a_row_without_extent_is_recorded_and_the_rest_imported(

@@ -18,6 +18,10 @@ KEYS = (
 )  # fmt: skip
 """Names under which archives and structured arrays hold the points."""
 NORMAL_KEYS = ("normals", "normal")
+_OTHER_KEYS = {
+    *NORMAL_KEYS, "colors", "colours", "color", "colour", "rgb", "faces", "triangles",
+}  # fmt: skip
+"""Names of what may have the shape of points and is none."""
 
 
 def read_npy(content: bytes) -> Points:
@@ -45,10 +49,14 @@ def read_npz(content: bytes) -> Points:
         raise InputError("is no NPZ archive: it is damaged or was cut short")
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         names = {name.lower(): name for name in archive.files}
+        if len(names) < len(archive.files):
+            raise InputError(f"holds {', '.join(archive.files)}: one name twice but for capitals")
         if "occupancies" in names:
             raise InputError("holds occupancies: its points fill space, they are on no surface")
         known = [name for name in KEYS if name in names]
-        if len(known) > 1 or (not known and len(names) != 1):
+        # Of several arrays that were saved without a name, none is known to be the points.
+        unnamed = known == ["arr_0"] and len(names) > 1
+        if len(known) > 1 or unnamed or (not known and (len(names) != 1 or {*names} & _OTHER_KEYS)):
             raise InputError(
                 f"holds {', '.join(archive.files) or 'nothing'}; expected one array, or one "
                 f"called {', '.join(KEYS)}"
@@ -61,7 +69,7 @@ def read_npz(content: bytes) -> Points:
         normals = of_table(archive[beside[0]], f"{beside[0]} ").points
     if len(normals) != len(found.points):
         raise InputError(f"has {len(found.points)} points and {len(normals)} normals")
-    return Points(found.points, normals, named=True)
+    return found._replace(normals=normals, named=True)
 
 
 def _of_array(array: NDArray) -> Points:

@@ -38,6 +38,10 @@ def read_ply(content: bytes) -> Points:
     names = [p.name for p in vertex.properties]
     if len(set(names)) < len(names):
         raise InputError(f"the PLY's vertices have a property twice: {', '.join(names)}")
+    if not {*XYZ} <= {name.lower() for name in names}:
+        raise InputError(
+            f"the PLY's vertices have the properties {', '.join(names)}; expected x, y, z"
+        )
     read = _ascii if header.encoding == "ascii" else _binary
     return of_fields(read(content, header, at))
 

@@ -25,11 +25,14 @@ class Points(NamedTuple):
         normals: (n,3) float64, or None.
         named: whether the file itself calls them normals; else they are columns 4 to 6, which may
             be colours.
+        columns: of a table that does not name them: the first three are the points. 3 where it
+            does.
     """
 
     points: NDArray[np.float64]
     normals: NDArray[np.float64] | None = None
     named: bool = False
+    columns: int = 3
 
 
 def of_table(table: NDArray, where: str = "") -> Points:
@@ -78,7 +81,7 @@ def of_rows(table: NDArray, where: str = "") -> Points:
         raise InputError(f"{where}expected an (n,3) cloud with n ≥ 1, got {table.shape}")
     require_no_index(table, where)
     normals = table[:, 3:6] if table.shape[1] >= 6 else None
-    return Points(table[:, :3], normals)
+    return Points(table[:, :3], normals, columns=table.shape[1])
 
 
 def require_no_index(table: NDArray, where: str = "") -> None:

@@ -266,19 +266,38 @@ def _column_names(
             if any(axes.count(axis) > 1 for axis in XYZ):
                 raise InputError(f"line {line.number} names two columns the same: {line.text!r}")
             return [_NAMES.get(name, name) for name in _names_in(line.text)]
-        if axes and line in header and axes[:3] != list(XYZ):
+        wrong = axes[:3] != list(XYZ) if line in header else not _may_be_prose(line, columns)
+        if axes and wrong:
             raise InputError(
                 f"line {line.number} names {len(axes)} columns ({line.text.strip()[:60]}), the "
                 f"table has {columns}"
             )
-    for line in header[-1:]:
+    for line in (header or comments)[-1:]:
         cells = _cells(line.text, separator)
-        if len(cells) == columns and not _axes(line.text):
+        # In a comment, or where they are not as many, words between blanks may be prose.
+        names = len(cells) == columns and line in header
+        listed = (
+            separator in line.text and all(map(str.isidentifier, cells)) if separator else False
+        )
+        if (names or listed) and not _axes(line.text):
             raise InputError(
                 f"line {line.number} names the columns {', '.join(cells)[:80]}; expected x, y and "
-                f"z among them"
+                f"z among them, a name for each of the {columns} columns"
             )
     return []
+
+
+def _may_be_prose(comment: _Line, columns: int) -> bool:
+    """Whether a comment that has the words x, y and z may say something else than the columns.
+
+    It does not where they stand together in another order, or have other columns' names ahead.
+    """
+    axes = _axes(comment.text)
+    at = next((i for i in range(len(axes) - 2) if {*axes[i : i + 3]} == {*XYZ}), None)
+    if at is None:
+        return True  # "x right, y down, z forward"
+    ahead = at > 0 and columns > 3 and not _names_in(comment.text)[at - 1].endswith(":")
+    return axes[at : at + 3] == list(XYZ) and not ahead
 
 
 def _of_names(table: NDArray[np.float64], names: list[str]) -> Points:
