@@ -7,8 +7,7 @@ What is chosen by a trial is chosen here: on training objects that neither has s
 test split, which is not opened; on every validation cloud, where the figure of a trial itself is
 of as many as the protocol tests at most. A run is its folder or a checkpoint; the same weights may
 be given twice, with options that act at test alone, or with more points of each cloud. Speaks of
-the networks at hand; give several
-seeds'.
+the networks at hand; give several seeds'.
 """
 
 from __future__ import annotations
