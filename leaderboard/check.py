@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leaderboard import consistency
+from partialbench.benchmark.protocol import milestones
 from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.records import results, testsets
 from partialbench.benchmark.records.results import PREDICTIONS_SUFFIX, SUFFIX, Result
@@ -17,6 +20,8 @@ from partialbench.errors import InputError
 
 Found = dict[Path, Result]
 """The readable records of a folder, by path."""
+Tested = dict[Path, tuple[NDArray, NDArray]]
+"""Record → which rows of its test split it was tested on, and which of these are duplicates."""
 
 
 def problems(folder: Path, recompute: bool = True) -> list[str]:
@@ -27,14 +32,17 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
     clouds seen and curve; the row's name and the options, recipe, start and precision), the names
     of the record's files, its test set or another record of the same row or data; prediction and
     test set files that are missing, damaged or not their record's, or that no model can have given;
-    two records of one run, answers or weights of one seed under two; prediction files that belong
-    to no record; a ``tuning.csv`` that is not one. With ``recompute`` also: scores that the stored
-    predictions do not give, and cards and numbers of parameters that the registry does not have.
+    two records of one run, answers or weights of one training under two; records of one column, or
+    of a condition beside it, with other test clouds or other duplicates; prediction files that
+    belong to no record; a ``tuning.csv`` that is not one. With ``recompute`` also: scores that the
+    stored predictions do not give, and cards and numbers of parameters that the registry does not
+    have.
     """
     if not folder.is_dir():
         return [f"no results folder at {folder}"]
     wrong: list[str] = []
     found: Found = {}
+    tested: Tested = {}
     named: set[str] = set()
     # Before the records: while tests are going on, a file's record comes right after it.
     predictions = sorted(folder.glob(f"*{PREDICTIONS_SUFFIX}"))
@@ -52,16 +60,16 @@ def problems(folder: Path, recompute: bool = True) -> list[str]:
         wrong += [f"{path}: {fault}" for fault in consistency.own_faults(result)]
         try:
             wrong += [f"{path}: {fault}" for fault in consistency.truth_faults(folder, result)]
+            said = results.read_predictions(folder, result)
+            tested[path] = said.rows, said.duplicate
             faults = consistency.score_faults(folder, result) if recompute else ()
-            if not recompute:
-                results.read_predictions(folder, result)
             wrong += [f"{path}: {fault}" for fault in faults]
         except InputError as error:
             wrong.append(str(error))
         if recompute:
             wrong += [f"{path}: {fault}" for fault in consistency.registry_faults(result)]
     wrong += [*_same_runs(found), *_unlike_trainings(found), *_weights(found), *_unlike_data(found)]
-    wrong += _truths(folder, found)
+    wrong += [*_truths(folder, found), *_unlike_tests(found, tested)]
     wrong += [
         f"{path} belongs to no record; delete it" for path in predictions if path.name not in named
     ]
@@ -122,7 +130,7 @@ def _unlike_trainings(found: Found) -> Iterator[str]:
 def _weights(found: Found) -> Iterator[str]:
     """One training is tested with one set of weights, and two trainings end with two."""
     tested: dict[tuple[object, ...], tuple[Path, str]] = {}
-    seeds: dict[tuple[object, ...], tuple[Path, int]] = {}
+    trained: dict[tuple[object, ...], tuple[Path, dict[str, str]]] = {}
     for path, result in found.items():
         train, weights = result.train_data, result.weights_sha256
         row = (
@@ -136,15 +144,32 @@ def _weights(found: Found) -> Iterator[str]:
                 f"but of other weights (SHA-256 {weights[:12]}, {before[:12]}); test the same "
                 f"checkpoint on both"
             )
+        if not result.cost["parameters"] or not result.recipe["lr"]:
+            continue  # nothing learns
         answers = (result.row, *result.column, result.predictions_sha256)
-        for what, same in (("weights", (*row, weights)), ("answers", answers)):
-            other, seed = seeds.setdefault(same, (path, result.seed))
-            if seed != result.seed and result.cost["parameters"]:
+        training = _training(result)
+        for what, same in (("weights", (result.model, weights)), ("answers", answers)):
+            other, of_other = trained.setdefault(same, (path, training))
+            unlike = [
+                f"{name} {now} and {of_other[name]}"
+                for name, now in training.items()
+                if now != of_other[name]
+            ]
+            if unlike:
                 yield (
-                    f"{path} and {other} have the same {what} under the seeds {result.seed} and "
-                    f"{seed}: one training counts once"
+                    f"{path} and {other} have the same {what} under the {', '.join(unlike)}: one "
+                    f"training counts once"
                 )
                 break
+
+
+def _training(result: Result) -> dict[str, str]:
+    """What never leaves the weights of a training as they are, by name.
+
+    Options, recipe and protocol may: some of their fields are of the test alone, or of what a model
+    does not do.
+    """
+    return {"seeds": str(result.seed), "milestones": milestones.name(result.clouds)}
 
 
 def _unlike_data(found: Found) -> Iterator[str]:
@@ -185,6 +210,41 @@ def _truths(folder: Path, found: Found) -> Iterator[str]:
                     f"(the board's --data tells which)"
                 )
         others.append((result.test_set_sha256, path, truth))
+
+
+def _unlike_tests(found: Found, tested: Tested) -> Iterator[str]:
+    """What is set side by side was tested on the same clouds, and the same of them are duplicates.
+
+    The protocol says which clouds of a split are tested, whatever is done to them; the two data
+    sets say which are duplicates.
+    """
+    first: dict[tuple[object, ...], Path] = {}
+    for path, (rows, duplicate) in tested.items():
+        result = found[path]
+        train, test = result.train_data, result.test_data
+        split = (
+            train.id, train.setting, train.digest, test.id, test.setting, test.digest,
+            result.protocol_digest,
+        )  # fmt: skip
+        other = first.setdefault(split, path)
+        if not np.array_equal(rows, tested[other][0]):
+            yield (
+                f"{path} was tested on {len(rows):,} clouds and {other} on "
+                f"{len(tested[other][0]):,}, of which {np.isin(rows, tested[other][0]).sum():,} "
+                f"are the same: one protocol tests the same clouds of one test split "
+                f"({test.digest[:12]}) always; test again what does not"
+            )
+            continue
+        # What the training before this one has seen is a duplicate as well.
+        start = json.dumps(result.training.get("start"), sort_keys=True)
+        other = first.setdefault((*split, start), path)
+        unlike = np.count_nonzero(duplicate != tested[other][1])
+        if unlike:
+            yield (
+                f"{path} and {other} were trained and tested on the same data, but of {unlike:,} "
+                f"test clouds one says that they are of a training object's bytes and the other "
+                f"that they are not; test both checkpoints again"
+            )
 
 
 def against_data(folder: Path, truth_of: Sequence[tuple[str, GroundTruth]]) -> list[str]:

@@ -229,16 +229,20 @@ class Classifier:
                 f"{name}: the model cannot answer ({type(error).__name__}: {error})"
             ) from error
         shares = prediction.class_logits.double().softmax(1).mean(0)
-        if not bool(torch.isfinite(shares).all()):
+        poses = prediction.pose_logits
+        if poses is not None:
+            poses = poses.double().softmax(1).mean(0)
+        if not all(
+            bool(torch.isfinite(part).all()) for part in (shares, poses) if part is not None
+        ):
             raise InputError(
                 f"{name}: the model's answer is not a finite number; its weights, or this cloud, "
                 f"are not what it can work with"
             )
-        poses = prediction.pose_logits
         return Answer(
             class_names,
             shares.cpu().numpy(),
-            None if poses is None else poses.double().softmax(1).mean(0).cpu().numpy(),
+            None if poses is None else poses.cpu().numpy(),
             len(points),
             clouds.shape[0] * clouds.shape[1],
         )

@@ -27,7 +27,7 @@ from partialbench.benchmark.records.results import Result
 from partialbench.benchmark.testing import asked
 from partialbench.benchmark.testing import run as testing
 from partialbench.benchmark.testing.asked import Asked
-from partialbench.benchmark.training import checkpoint, dry_run, finetune, packed
+from partialbench.benchmark.training import checkpoint, dry_run, finetune, made_again, packed
 from partialbench.benchmark.training.find import find_checkpoint
 from partialbench.benchmark.training.follow import check_log
 from partialbench.benchmark.training.held import hold
@@ -191,6 +191,7 @@ def run_eval(
                 )
                 if fabric.is_global_zero:
                     content = checkpoint.load(RunFolder(folder).branch(goal))
+                    made_again.require_made_again(content, trained.model, task, fabric.device)
                     written += testing.run_tests(
                         content, trained.model, to_test, fabric, results_folder
                     )

@@ -24,6 +24,7 @@ from partialbench.benchmark.protocol import recipe as recipes
 from partialbench.benchmark.protocol.protocol import DEFAULT_PRESET
 from partialbench.benchmark.records.trials import FILE, Trial, add_trial
 from partialbench.benchmark.run import make_task, milestones_of, run_folder
+from partialbench.benchmark.testing.evaluate import NotFiniteError
 from partialbench.benchmark.training import dry_run, finetune
 from partialbench.benchmark.training.held import hold
 from partialbench.benchmark.training.memory import keep_freed_memory
@@ -110,7 +111,7 @@ def tune(
         try:
             with hold(folder, fabric.is_global_zero):
                 summary = train(task, fabric, folder, goal, should_stop=should_stop).summary
-        except DivergedError as error:
+        except (DivergedError, NotFiniteError) as error:
             log.warning("%s; recorded as diverged", error)
             summary = {"clouds_seen": length, "train_loss": None, "validation_accuracy": None}
         trial = Trial(

@@ -14,6 +14,7 @@ from torch import nn
 
 from partialbench.benchmark import preflight
 from partialbench.benchmark.fabric import make_fabric
+from partialbench.benchmark.prediction import Prediction
 from partialbench.benchmark.protocol.split import split_by_object
 from partialbench.benchmark.records.trials import FILE, read_trials
 from partialbench.benchmark.run import _say_odd_classes, run_eval
@@ -74,6 +75,73 @@ class Untrained(nn.Module):
         return clouds.abs().mean(1) @ self.w
 
 
+class PlainList(NoNorm):
+    """Layers that are in no state_dict."""
+
+    def __init__(self, num_classes: int) -> None:
+        super().__init__(num_classes)
+        self.more = [nn.Linear(num_classes, num_classes)]
+
+    def forward(self, clouds):
+        return self.more[0](super().forward(clouds))
+
+
+class PlainTensor(NoNorm):
+    """A running mean that is no buffer; of ``buffer`` one that is not saved."""
+
+    def __init__(self, num_classes: int, buffer: bool = False) -> None:
+        super().__init__(num_classes)
+        if buffer:
+            self.register_buffer("mean", torch.zeros(num_classes), persistent=False)
+        else:
+            self.mean = torch.zeros(num_classes)
+
+    def forward(self, clouds):
+        logits = super().forward(clouds)
+        if self.training:
+            self.mean = 0.5 * self.mean + 0.5 * torch.tensor([1.0, 0.0, -1.0])
+        return logits + self.mean
+
+
+class PoseNan(NoNorm):
+    def forward(self, clouds):
+        logits = super().forward(clouds)
+        return Prediction(logits, logits.new_full((len(clouds), 60), float("nan")))
+
+
+ONE = NoNorm(3)
+
+
+def the_same(num_classes: int) -> nn.Module:
+    return ONE
+
+
+def shared_layer(num_classes: int) -> nn.Module:
+    fresh = NoNorm(num_classes)
+    fresh.head.weight = nn.Parameter(ONE.head.weight.data)
+    return fresh
+
+
+class LateDrift(NoNorm):
+    """What it remembers of the training is in no state_dict, and shows after some steps only."""
+
+    def __init__(self, num_classes: int) -> None:
+        super().__init__(num_classes)
+        self.steps = 0
+
+    def forward(self, clouds):
+        self.steps += self.training
+        return super().forward(clouds) + (self.steps > 2) * torch.tensor([1.0, 0.0, -1.0])
+
+
+class LateNan(LateDrift):
+    """Trains without a fault and answers NaN, once it has trained a little."""
+
+    def forward(self, clouds):
+        logits = super().forward(clouds)
+        return logits if self.training or self.steps < 3 else logits * torch.nan
+
+
 class Drawn(NoNorm):
     """Initialised by the global generators of NumPy and Python."""
 
@@ -93,6 +161,12 @@ class Drawn(NoNorm):
         ("Grows", "do not make it again: .*scale is float32", {}),
         ("Lazy", "layer.weight, layer.bias have no shape before a first forward pass", {}),
         ("Untrained", "no trainable parameters", {}),
+        ("PlainList", "answers otherwise than the one that was trained", {}),
+        ("PlainTensor", "answers otherwise than the one that was trained", {}),
+        ("PlainTensor", "a buffer with persistent=False", {"options": {"buffer": True}}),
+        ("PoseNan", "one cloud alone gives pose logits that are NaN", {}),
+        ("the_same", r"two models that share \d of their parameters \(", {}),
+        ("shared_layer", r"two models that share 1 of their parameters \(head.weight\)", {}),
     ],
 )  # fmt: skip
 def test_what_would_break_in_the_end_breaks_before_the_start(
@@ -101,6 +175,14 @@ def test_what_would_break_in_the_end_breaks_before_the_start(
     with pytest.raises(InputError, match=message):
         run_eval(f"{HERE}:{name}", data, results_folder=tmp_path, **{**SMALL, **protocol})
     assert not list(tmp_path.rglob("checkpoint.pt"))
+    assert not list(tmp_path.glob("*.predictions.npz"))
+
+
+def test_a_model_whose_checkpoint_is_not_all_of_it_is_not_tested(data, tmp_path):
+    given = SMALL | {"clouds": [320]}
+    with pytest.raises(InputError, match=r"its class logits move by .* % of their size"):
+        run_eval(f"{HERE}:LateDrift", data, results_folder=tmp_path, **given)
+    assert list(tmp_path.rglob("checkpoint.pt"))
     assert not list(tmp_path.glob("*.predictions.npz"))
 
 
@@ -233,6 +315,15 @@ def test_a_diverged_trial_is_recorded_and_the_rest_goes_on(data, tmp_path):
         assert len({trial.clouds_seen for trial in found}) == 1  # of a diverged one, its goal
         assert [trial.diverged for trial in found] == [False, False, True]
         assert sorted(read_trials(tmp_path / FILE), key=repr) == sorted(found, key=repr)
+
+
+def test_a_trial_whose_answers_are_nan_is_no_trial_of_class_nought(data, tmp_path):
+    given = {"num_points": 32, "max_train_clouds": None}
+    (trial,) = tune(
+        f"{HERE}:LateNan", data, [{}], "smoke", device="cpu", results_folder=tmp_path, clouds=480,
+        protocol=given,
+    )  # fmt: skip
+    assert trial.diverged
 
 
 def test_nothing_to_validate_on_is_an_error_at_the_start(tmp_path):

@@ -79,6 +79,33 @@ def test_a_model_that_answers_nan_is_refused():
         evaluate.predict_rows(Nan(3), clouds, np.arange(8), clouds.class_names)
 
 
+@pytest.mark.parametrize("field", ["pose_logits", "candidates"])
+def test_poses_that_are_nan_are_refused(field):
+    class Nan(Posed):
+        def forward(self, clouds):
+            answer = super().forward(clouds)
+            wrong = answer.pose_logits.where(torch.arange(60) > 0, torch.nan)
+            return answer._replace(
+                **{field: wrong if field == "pose_logits" else (wrong, wrong.argsort(1))}
+            )
+
+    clouds = MemoryClouds()
+    with pytest.raises(evaluate.NotFiniteError, match=r"8 of 8 clouds .* logits that are NaN"):
+        evaluate.predict_rows(Nan(3), clouds, np.arange(8), clouds.class_names)
+
+
+def test_a_pose_that_cannot_be_may_be_minus_infinity():
+    class Masked(Posed):
+        def forward(self, clouds):
+            answer = super().forward(clouds)
+            possible = torch.arange(60) == 7
+            return answer._replace(pose_logits=answer.pose_logits.where(possible, -torch.inf))
+
+    clouds = MemoryClouds()
+    said = evaluate.predict_rows(Masked(3), clouds, np.arange(8), clouds.class_names)
+    assert (said.pose_bins[:, 0] == 7).all()
+
+
 def test_the_rotation_audit_tells_an_invariant_model_from_one_that_is_not():
     class Radii(torch.nn.Module):
         def forward(self, clouds):

@@ -148,6 +148,29 @@ def test_each_class_is_judged_under_its_own_pose_and_none_can_be_read_off_it():
     assert bottles("class:0") == [1, 1, 1], "under each class's own, it says the same of all"
 
 
+def test_a_model_that_turns_its_input_in_place_turns_it_once_under_each_pose():
+    class Turns(nn.Module):
+        """Answers by where a point is in the object's frame, which it turns the cloud into."""
+
+        def __init__(self, in_place: bool) -> None:
+            super().__init__()
+            self.in_place = in_place
+
+        def forward(self, clouds, rotation=None):
+            turned = clouds @ rotation
+            if self.in_place:
+                turned = clouds.copy_(turned)
+            return turned[:, 0]
+
+    clouds = MemoryClouds()
+    told = given_pose.told("class:0", clouds, ROWS, clouds.class_names)
+    whole, in_place = (
+        evaluate.predict_rows(Turns(kind), clouds, ROWS, clouds.class_names, given=told)
+        for kind in (False, True)
+    )
+    np.testing.assert_array_equal(whole.log_probabilities, in_place.log_probabilities)
+
+
 def test_a_class_whose_objects_differ_in_symmetry_has_none_to_be_told_under():
     clouds = MemoryClouds()
     clouds.symmetries = clouds.symmetries.copy()

@@ -119,6 +119,16 @@ def test_points_that_were_not_measured_are_dropped_from_any_cloud(tmp_path, rng)
         assert np.array_equal(read_points(tmp_path / name), measured)
 
 
+def test_a_pose_that_is_nan_is_no_answer(weights, rng):
+    classifier = Classifier(weights, model=f"{MODELS}:Posed")
+    asked = classifier.model.forward
+    classifier.model.forward = lambda clouds: asked(clouds)._replace(
+        pose_logits=torch.full((len(clouds), 60), torch.nan)
+    )
+    with pytest.raises(InputError, match="not a finite number"):
+        classifier.predict(rng.normal(size=(64, 3)))
+
+
 def test_few_points_are_all_used_before_any_is_repeated(rng):
     points = rng.standard_normal((20, 3)).astype(np.float32)
     (drawn,) = draw(points, 50)

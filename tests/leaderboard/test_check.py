@@ -209,6 +209,47 @@ def test_one_training_does_not_count_as_two_seeds(tmp_path):
     assert "have the same weights under the seeds 1 and 0" in found(tmp_path)
 
 
+def test_one_training_does_not_count_as_two_milestones(tmp_path):
+    weights = results.read(honest(tmp_path, 0)).weights_sha256
+    path = honest(tmp_path, 0, milestone=200_000)
+    text = json.loads(path.read_text())
+    text["weights_sha256"] = weights
+    text["record_sha256"] = results.record_digest(text)
+    path.write_text(json.dumps(text))
+    assert "have the same weights under the milestones 200k and 100k" in found(tmp_path)
+
+
+def test_one_training_may_be_a_row_under_options_of_its_test(tmp_path):
+    made = record("mine:make", predictions(0.6, 0))
+    for options, answers in (({}, 0), ({"k": 5}, 1)):
+        variant = "k=5" if options else ""
+        stored = predictions(0.6, answers)
+        other = record("mine:make", stored, variant=variant, options=options)
+        other = dataclasses.replace(other, weights_sha256=made.weights_sha256)
+        results.write(tmp_path, other, stored)
+    assert problems(tmp_path, recompute=False) == []
+
+
+@pytest.mark.parametrize("condition", [{}, {"damage": "jitter:3"}, {"points": 64}])
+@pytest.mark.parametrize("kept", [slice(0, 60), slice(1, None), np.r_[1:120, 0]])
+def test_what_is_set_side_by_side_is_tested_on_the_same_clouds(tmp_path, condition, kept):
+    honest(tmp_path, 0)
+    stored = predictions(0.6, 0 if condition else 1).select(kept)
+    made = record(MODEL, stored, 0 if condition else 1, **condition)
+    before = results.read(first(tmp_path))
+    made = dataclasses.replace(made, card=before.card, recipe=before.recipe, cost=before.cost)
+    results.write(tmp_path, made, stored)
+    assert f"was tested on {len(stored)} clouds" in found(tmp_path) or (
+        f"on {len(stored)}, of which" in found(tmp_path)
+    )
+
+
+def test_which_clouds_are_duplicates_is_no_matter_of_the_model(folder):
+    """What a model got wrong would else be left out of its accuracy without them."""
+    forge_predictions(folder, lambda p: dataclasses.replace(p, duplicate=p.predicted != p.labels))
+    assert "one says that they are of a training object's bytes" in found(folder)
+
+
 @pytest.mark.parametrize("milestone", [100_000, 200_000])
 def test_one_row_is_of_one_version_of_a_model_at_every_milestone(tmp_path, milestone):
     """Its curve over clouds seen would else join two models."""

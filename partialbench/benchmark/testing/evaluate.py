@@ -28,7 +28,17 @@ from partialbench.errors import PartialbenchError
 
 
 class NotFiniteError(PartialbenchError):
-    """A model's answer holds NaN or infinity."""
+    """A model's answer holds class logits that are no finite numbers, or pose logits that are none.
+
+    Sorted they would still give a class and a pose.
+
+    Attributes:
+        what: "class logits that are not finite" and the like.
+    """
+
+    def __init__(self, message: str, what: str) -> None:
+        super().__init__(message)
+        self.what = what
 
 
 def run_model(
@@ -48,6 +58,9 @@ def run_model(
     Args:
         given: what is told of the poses of ``rows``; by default the model has its own. Under
             several, each class's logit is of the answer under its own; the rest of the first's.
+
+    Raises:
+        NotFiniteError: see there.
     """
     model.eval()
     state = State(model)
@@ -63,9 +76,13 @@ def run_model(
                 poses = [{ARGUMENT: each} for each in of_batch.unbind(1)]
             answers = []
             for pose in poses:
+                # Copies: a model may change what it is given, and is asked again.
+                named = {name: value.clone() for name, value in beside.items()}
                 with unchanged(model, state), keyed_draws(start, device=device):
-                    output = model(points, **beside, **pose)
-                answers.append(as_prediction(output, len(chosen), num_classes))
+                    output = model(points.clone(), **named, **pose)
+                answer = as_prediction(output, len(chosen), num_classes)
+                _require_finite(answer, chosen)
+                answers.append(answer)
             prediction = answers[0]
             if given is not None and len(answers) > 1:
                 prediction = prediction._replace(class_logits=_judged(answers, given.hypothesis))
@@ -102,7 +119,7 @@ def predict_rows(
             another condition than trained on.
 
     Raises:
-        NotFiniteError: an answer with NaN or infinity.
+        NotFiniteError: see there.
     """
     if len(rows) == 0:
         raise ValueError("there is nothing to evaluate: no rows")
@@ -111,8 +128,7 @@ def predict_rows(
     known = _shared(class_names, dataset.class_names)
     parts: list[dict[str, Tensor]] = []
     answers = run_model(model, dataset, rows[order], len(class_names), device, batch_size, told)
-    for chosen, prediction in answers:
-        _require_finite(prediction.class_logits, chosen)
+    for _, prediction in answers:
         if not dataset.has_poses:  # nothing tells whether its poses are right
             prediction = prediction._replace(pose_logits=None)
         parts.append(_kept(prediction, known, answers_alone))
@@ -132,13 +148,21 @@ def _shared(model_classes: Sequence[str], test_classes: Sequence[str]) -> Tensor
     return torch.tensor([name in test_classes for name in model_classes])
 
 
-def _require_finite(logits: Tensor, rows: NDArray[np.int64]) -> None:
-    finite = torch.isfinite(logits).all(dim=1)
-    if not bool(finite.all()):
-        raise NotFiniteError(
-            f"{int((~finite).sum())} of {len(rows)} clouds (rows {rows.min()} to {rows.max()}) got "
-            f"class logits that are not finite; the model is broken or its weights are"
-        )
+def _require_finite(prediction: Prediction, rows: NDArray[np.int64]) -> None:
+    parts = [("class logits that are not finite", ~torch.isfinite(prediction.class_logits))]
+    # −∞ is a pose that cannot be.
+    if prediction.pose_logits is not None:
+        parts.append(("pose logits that are NaN", prediction.pose_logits.isnan()))
+    if prediction.candidates is not None:
+        parts.append(("candidate logits that are NaN", prediction.candidates[0].isnan()))
+    for what, wrong in parts:
+        clouds = int(wrong.any(dim=1).sum())
+        if clouds:
+            raise NotFiniteError(
+                f"{clouds} of {len(rows)} clouds (rows {rows.min()} to {rows.max()}) got {what}; "
+                f"the model is broken or its weights are",
+                what,
+            )
 
 
 def _kept(prediction: Prediction, shared: Tensor | None, answers_alone: bool) -> dict[str, Tensor]:

@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn.parameter import UninitializedBuffer, UninitializedParameter
 
-from partialbench.benchmark import models
 from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.protocol.split import balanced_subset
 from partialbench.benchmark.testing import evaluate
 from partialbench.benchmark.testing import run as testing
-from partialbench.benchmark.training import checkpoint, seeds
+from partialbench.benchmark.training import checkpoint, made_again, seeds
 from partialbench.benchmark.training.train import Task, train
 from partialbench.benchmark.training.trunk import RunFolder
 from partialbench.dataset.seeding import generator
@@ -59,7 +58,8 @@ def try_out(
             are.
     """
     with _saying(task.model, "making the model"), seeds.kept():
-        _require_trainable(models.create(task.model, len(task.dataset.class_names), task.options))
+        classes = len(task.dataset.class_names)
+        _require_trainable(made_again.require_fresh(task.model, classes, task.options))
     rows = balanced_subset(
         task.train_rows, task.dataset.labels, min(task.recipe.batch_size, len(task.train_rows))
     )
@@ -72,9 +72,9 @@ def try_out(
         folder = Path(made)
         with _saying(task.model, "training on one batch"):
             model = train(small, fabric, folder, goal, silent=True).model
-        with _saying(task.model, "reading back its weights"):
-            _require_readable(RunFolder(folder).branch(goal), task.model, fabric)
         _answer(task, model, fabric.device)
+        with _saying(task.model, "reading back its weights"):
+            _require_readable(RunFolder(folder).branch(goal), model, task, fabric)
         if fabric.is_global_zero and tests:
             with _saying(task.model, "testing, and writing and reading its record,"):
                 content = checkpoint.load(RunFolder(folder).branch(goal))
@@ -93,6 +93,11 @@ def _saying(model: str, what: str) -> Iterator[None]:
     """Makes a sentence of whatever a user's model raises."""
     try:
         yield
+    except evaluate.NotFiniteError as error:
+        raise InputError(
+            f"{model}: tried out before the training, {what} gives {error.what}: no record can "
+            f"hold that"
+        ) from error
     except PartialbenchError:
         raise
     except Exception as error:
@@ -124,15 +129,15 @@ def _require_trainable(model: nn.Module) -> None:
         )
 
 
-def _require_readable(path: Path, name: str, fabric: Fabric) -> None:
-    """The model that its checkpoint makes has all that was saved, and nothing else."""
+def _require_readable(path: Path, trained: nn.Module, task: Task, fabric: Fabric) -> None:
+    """The model that its checkpoint makes has all that was saved, and answers as the trained."""
     if not fabric.is_global_zero:
         return
     try:
-        checkpoint.build_model(checkpoint.load(path), name)
+        made_again.require_made_again(checkpoint.load(path), trained, task, fabric.device)
     except InputError as error:
         raise InputError(
-            f"{name}: tried out before the training, its saved weights do not make it again: "
+            f"{task.model}: tried out before the training, its saved weights do not make it again: "
             f"{error}. Parameters and buffers must exist, with their shapes, once the factory "
             f"returns"
         ) from error
@@ -148,14 +153,9 @@ def _answer(task: Task, model: nn.Module, device: torch.device) -> None:
         ("answering for clouds turned about the camera", turned, rows.repeat(TURNS), 1),
     ):
         with _saying(task.model, what):
-            for _, prediction in evaluate.run_model(
-                model, given, chosen, len(clouds.class_names), device, together
-            ):
-                if not bool(torch.isfinite(prediction.class_logits).all()):
-                    raise InputError(
-                        f"{task.model}: tried out before the training, {what} gives class logits "
-                        f"that are not finite: no record can hold that"
-                    )
+            list(
+                evaluate.run_model(model, given, chosen, len(clouds.class_names), device, together)
+            )
 
 
 class _Turned:
