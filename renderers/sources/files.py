@@ -54,10 +54,10 @@ class Directory:
             folders[:] = [
                 f
                 for f in folders
-                if not _hidden(f) and not here.resolve().is_relative_to((here / f).resolve())
+                if not hidden(f) and not here.resolve().is_relative_to((here / f).resolve())
             ]
             inside = here.relative_to(self.root)
-            found += [(inside / f).as_posix() for f in files if not _hidden(f)]
+            found += [(inside / f).as_posix() for f in files if not hidden(f)]
         return sorted(found)
 
     def read(self, name: str) -> bytes:
@@ -97,7 +97,7 @@ class Archive:
     def names(self) -> list[str]:
         """As ``Files.names``."""
         _, members = self._open()
-        return sorted(name for name in members if not any(map(_hidden, name.split("/"))))
+        return sorted(name for name in members if not any(map(hidden, name.split("/"))))
 
     def read(self, name: str) -> bytes:
         """As ``Files.read``."""
@@ -153,7 +153,8 @@ def _members(archive: zipfile.ZipFile) -> dict[str, list[zipfile.ZipInfo]]:
     return members
 
 
-def _hidden(part: str) -> bool:
+def hidden(part: str) -> bool:
+    """Whether a file or folder of this name is none of the user's: ``.git``, ``._a.off``."""
     return part.startswith(".") or part == "__MACOSX"
 
 

@@ -18,6 +18,7 @@ KEYS = (
 )  # fmt: skip
 """Names under which archives and structured arrays hold the points."""
 NORMAL_KEYS = ("normals", "normal")
+FACE_KEYS = ("faces", "face", "triangles", "tris")
 
 
 def read_npy(content: bytes) -> Points:
@@ -45,8 +46,14 @@ def read_npz(content: bytes) -> Points:
         raise InputError("is no NPZ archive: it is damaged or was cut short")
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         names = {name.lower(): name for name in archive.files}
-        if "occupancies" in names:
-            raise InputError("holds occupancies: its points fill space, they are on no surface")
+        if "occupancies" in names or {"pos", "neg"} <= names.keys():
+            what = "occupancies" if "occupancies" in names else "signed distances (pos, neg)"
+            raise InputError(f"holds {what}: its points fill space, they are on no surface")
+        if found := [names[name] for name in FACE_KEYS if name in names]:
+            raise InputError(
+                f"holds {found[0]}: a mesh, whose vertices are no even sample of its surface; save "
+                f"it as one of OBJ, PLY, OFF"
+            )
         known = [name for name in KEYS if name in names]
         if len(known) > 1 or (not known and len(names) != 1):
             raise InputError(
