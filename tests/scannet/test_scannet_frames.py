@@ -166,6 +166,17 @@ def test_labels_of_another_mesh_are_refused(scene, label_map):
         read_scene(scene, label_map)
 
 
+def test_labels_in_another_order_are_refused(scene, label_map):
+    """As many vertices, each somewhere else: the numbers would be other vertices'."""
+    path = scene / f"{scene.name}_vh_clean_2.labels.ply"
+    head, body = path.read_text().split("end_header\n")
+    count = int(head.split("element vertex ")[1].split()[0])
+    rows = body.splitlines(keepends=True)
+    path.write_text(head + "end_header\n" + "".join(rows[count - 1 :: -1] + rows[count:]))
+    with pytest.raises(InputError, match=r"labels\.ply: vertex 0 is at .*, the mesh's vertex 0 at"):
+        read_scene(scene, label_map)
+
+
 def test_label_map_errors(tmp_path):
     with pytest.raises(InputError, match="part of the ScanNet download: put it into the --scannet"):
         read_label_map(tmp_path / "absent.tsv")

@@ -49,9 +49,9 @@ def read_npz(content: bytes) -> Points:
         if "occupancies" in names or {"pos", "neg"} <= names.keys():
             what = "occupancies" if "occupancies" in names else "signed distances (pos, neg)"
             raise InputError(f"holds {what}: its points fill space, they are on no surface")
-        if found := [names[name] for name in FACE_KEYS if name in names]:
+        if faces := [names[name] for name in FACE_KEYS if name in names]:
             raise InputError(
-                f"holds {found[0]}: a mesh, whose vertices are no even sample of its surface; save "
+                f"holds {faces[0]}: a mesh, whose vertices are no even sample of its surface; save "
                 f"it as one of OBJ, PLY, OFF"
             )
         known = [name for name in KEYS if name in names]

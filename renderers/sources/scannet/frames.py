@@ -37,6 +37,9 @@ LABEL_MAP = "scannetv2-labels.combined.tsv"
 # keeps "bookshelf" and "shelves" for bookshelf and drops "otherfurniture" for bed (one bunk bed).
 NYU40_SHARE = 0.05
 
+SAME_PLACE_M = 0.01
+"""So far may a labelled vertex be from the mesh's; in ScanNet they are the same to the last bit."""
+
 
 @dataclass(frozen=True)
 class LabelMap:
@@ -183,7 +186,8 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
         labels = _labels_of_groups(groups, segments, label_map, notes)
     else:
         assert raw is not None
-        labels = raw
+        labels, places = raw
+        _require_same_places(files["labels"], places, vertices)
     faces = np.asarray(mesh.faces, np.int64)
     return Scene(scene_id, vertices, faces, _normals(mesh), labels, groups, segments, notes)
 
@@ -257,8 +261,8 @@ def _labels_of_groups(
     return labels
 
 
-def _read_labels(path: Path, vertices: int) -> NDArray[np.int64]:
-    """The file's own numbers, whatever they mean."""
+def _read_labels(path: Path, vertices: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The file's own numbers, whatever they mean, and where (n,3) its vertices are, metres."""
     mesh = _read_ply(path)
     try:
         # Binary files give a structured array here, text files a dictionary.
@@ -272,7 +276,21 @@ def _read_labels(path: Path, vertices: int) -> NDArray[np.int64]:
         raise InputError(f"{path.name}: a label is no whole number: {numbers[broken][0]}")
     if len(labels) != vertices:
         raise InputError(f"{path.name}: labels {len(labels)} vertices, the mesh has {vertices}")
-    return labels
+    return labels, np.asarray(mesh.vertices, np.float64)
+
+
+def _require_same_places(path: Path, places: NDArray, vertices: NDArray) -> None:
+    """``InputError`` where the vertices (n,3) that are labelled are not the mesh's, one by one.
+
+    Another mesh, or this one in another order, may have as many.
+    """
+    off = np.linalg.norm(places - vertices, axis=1)
+    if not (off <= SAME_PLACE_M).all():  # NaN is nowhere
+        k = int(np.argmax(~(off <= SAME_PLACE_M)))
+        raise InputError(
+            f"{path.name}: vertex {k} is at {places[k].round(3).tolist()}, the mesh's vertex {k} "
+            f"at {vertices[k].round(3).tolist()}; expected the labels of this mesh, in its order"
+        )
 
 
 def settle_labels(
