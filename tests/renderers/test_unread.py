@@ -1,4 +1,4 @@
-"""A class or an object in a format that is not read is not missing without a word."""
+"""Nothing is missing from a tree, nor taken for something else, without a word."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from partialbench.errors import InputError
 from renderers.sources.clouds import CompleteClouds
 from renderers.sources.folder import MeshFolder
-from tests.renderers.test_layouts import write
+from renderers.sources.open import open_source
+from tests.renderers.test_layouts import resampled, write
 
 TREE = ("chair/train/a.off", "chair/test/b.off")
 XYZ = "".join(f"{k} {k * k} {-k}\n" for k in range(9)).encode()
@@ -56,3 +58,39 @@ def test_meshes_beside_clouds_are_told(tmp_path: Path) -> None:
     np.save(write(tmp_path, "pan/train/b.off", "mug/train/x.png") / "mug/train/a.npy", np.eye(9, 3))
     (rejected,) = CompleteClouds(tmp_path).rejected
     assert rejected.reason.startswith("is a mesh in a tree that was taken for one of clouds")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["ModelNet10/bed/train/0.off", "ModelNet40/bed/train/0.off", "ModelNet40/car/test/1.off"],
+        ["a/train/bed/0.off", "a/test/bed/1.off", "b/train/bed/0.off", "b/train/car/2.off"],
+    ],
+)
+def test_data_sets_beside_each_other_are_no_classes(names: list[str], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"(ModelNet10, ModelNet40|a, b) each hold classes and"):
+        MeshFolder(write(tmp_path, *names))
+
+
+def test_objects_in_folders_behind_splits_are_no_data_sets(tmp_path: Path) -> None:
+    names = ("mug/train/m_0/model.obj", "mug/test/m_1/model.obj", "pan/train/m_0/model.obj")
+    assert MeshFolder(write(tmp_path, *names)).class_names == ("mug", "pan")
+
+
+@pytest.mark.parametrize("name", ["split.csv", "mug/train.CSV", "modelnet40_test.tsv"])
+def test_a_table_of_splits_is_told(name: str, tmp_path: Path) -> None:
+    write(tmp_path, name, content=b"id,split\na,train\nb,test\n")
+    source = MeshFolder(write(tmp_path, "mug/a.off", "mug/b.off"))
+    (rejected,) = source.rejected
+    assert rejected.location == name
+    assert rejected.reason.startswith("is called as a list of splits is, but no table is read")
+    write(tmp_path, "train.txt", content=b"a\n")
+    write(tmp_path, "test.txt", content=b"b\n")
+    assert MeshFolder(tmp_path).rejected == []
+
+
+def test_the_axis_of_the_resampled_release_is_told(tmp_path: Path, rng) -> None:
+    root = resampled(tmp_path / "release", rng)
+    assert "modelnet40_normal_resampled has y up" in open_source(root).listing
+    assert "y up" not in open_source(root, up="y").listing
+    assert "y up" not in open_source(root, up="z").listing
