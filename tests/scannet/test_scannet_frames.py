@@ -177,6 +177,23 @@ def test_labels_in_another_order_are_refused(scene, label_map):
         read_scene(scene, label_map)
 
 
+def test_scans_are_read_in_every_dialect_that_meshes_are(scene, label_map):
+    before = read_scene(scene, label_map)
+    for kind in ("", ".labels"):
+        path = scene / f"{scene.name}_vh_clean_2{kind}.ply"
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r"))
+    read = read_scene(scene, label_map)
+    for name in ("vertices", "faces", "normals", "labels"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(before, name))
+
+
+def test_more_faces_than_a_scan_counts_are_an_input_error(scene, label_map):
+    path = scene / f"{scene.name}_vh_clean_2.ply"
+    path.write_bytes(path.read_bytes() + b"3 0 1 2\n")
+    with pytest.raises(InputError, match=r"1 lines follow the \d+ that the PLY header counts"):
+        read_scene(scene, label_map)
+
+
 def test_label_map_errors(tmp_path):
     with pytest.raises(InputError, match="part of the ScanNet download: put it into the --scannet"):
         read_label_map(tmp_path / "absent.tsv")
