@@ -97,7 +97,8 @@ def understand(locations: Sequence[str]) -> Layout:
     folders = {path: path.parts[:-1] for path in paths}
     level, split_first = _class_level(list(folders.values()), [p.stem for p in paths])
     if not split_first:
-        _require_one_set([folder[max(level, 0) :] for folder in folders.values()])
+        inner_folders = [folder[max(level, 0) :] for folder in folders.values()]
+        _require_one_set(inner_folders, [p.stem for p in paths])
     found: list[tuple[PurePosixPath, str, str, tuple[str, ...], str]] = []
     above = folders[paths[0]][:level] if paths and level > 0 else ()
     layout.root = "".join(f"{part}/" for part in above)
@@ -190,17 +191,23 @@ def _is_one_class(folders: list[tuple[str, ...]], stems: list[str], level: int) 
     return not (again or names <= set(MODELNET40) or max(Counter(inside).values()) > 1)
 
 
-def _require_one_set(inner: list[tuple[str, ...]]) -> None:
+def _require_one_set(inner: list[tuple[str, ...]], stems: list[str]) -> None:
     """``InputError`` where the folders at the level of classes are data sets, from how all files
-    lie in them: <class>/<split>/…, or <split>/<class>/… with a class in both splits."""
+    lie in them: <class>/<split>/…, or <split>/<class>/… with several files of a class that is in
+    both splits."""
     sets = sorted({folder[0] for folder in inner if folder})
     if len(sets) < 2 or any(len(folder) < 3 for folder in inner):
         return
     splits_below = all(split_name(f[2]) and not split_name(f[1]) for f in inner)
-    classes_below = False
-    if all(split_name(f[1]) for f in inner):
-        times = Counter((top, name) for top, _, name in {f[:3] for f in inner})
-        classes_below = max(times.values()) > 1  # no object is in both splits
+    files: dict[tuple[str, str], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for folder, stem in zip(inner, stems, strict=True):
+        files[folder[0], folder[2]][folder[1]].add(stem)
+    # An object may be numbered anew in each split, but is one file, or one of a known name.
+    classes_below = all(split_name(f[1]) for f in inner) and any(
+        len(of_split) > 1 and len(names) > 1 and not {n.casefold() for n in names} & {*MAIN_FILES}
+        for of_split in files.values()
+        for names in of_split.values()
+    )
     if splits_below or classes_below:
         raise InputError(
             f"{', '.join(sets[:3])}{', …' if len(sets) > 3 else ''} each hold classes and splits "

@@ -64,16 +64,18 @@ def test_meshes_beside_clouds_are_told(tmp_path: Path) -> None:
     "names",
     [
         ["ModelNet10/bed/train/0.off", "ModelNet40/bed/train/0.off", "ModelNet40/car/test/1.off"],
-        ["a/train/bed/0.off", "a/test/bed/1.off", "b/train/bed/0.off", "b/train/car/2.off"],
+        ["a/train/bed/bed_0.off", "a/train/bed/bed_1.off", "a/test/bed/bed_2.off",
+         "b/train/mug/mug_0.off", "b/train/car/car_2.off"],
     ],
-)
+)  # fmt: skip
 def test_data_sets_beside_each_other_are_no_classes(names: list[str], tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"(ModelNet10, ModelNet40|a, b) each hold classes and"):
         MeshFolder(write(tmp_path, *names))
 
 
 def test_objects_in_folders_behind_splits_are_no_data_sets(tmp_path: Path) -> None:
-    names = ("mug/train/m_0/model.obj", "mug/test/m_1/model.obj", "pan/train/m_0/model.obj")
+    names = ("mug/train/0/model.obj", "mug/test/0/model.obj", "mug/test/0/model.stl",
+             "mug/train/0/part.stl", "pan/train/0/model.obj")  # fmt: skip
     assert MeshFolder(write(tmp_path, *names)).class_names == ("mug", "pan")
 
 
