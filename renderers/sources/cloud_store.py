@@ -10,9 +10,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from partialbench.dataset.cloud_formats.points import padding
 from partialbench.dataset.names import printable
 from partialbench.dataset.shards import open_hdf5
-from partialbench.dataset.sources import ObjectRef
+from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError, parsing
 from renderers.sources.listing import SPLITS, Listing
 
@@ -128,19 +129,37 @@ class HdfStore:
                     f"{' and '.join(SPLITS)}"
                 )
             class_names = tuple(strings(file, "class_names", "the file"))
-            if len(set(class_names)) < len(class_names):
+            bare = [name.strip() for name in class_names]
+            if len(set(bare)) < len(bare):
                 raise InputError(f"class_names has a name twice: {', '.join(class_names)}")
+            if "" in bare:
+                raise InputError(f"name {bare.index('')} of class_names is empty")
             encoding = file.attrs.get("points_encoding", ENCODING)
             if encoding != ENCODING:
                 raise InputError(f"encodes points as {encoding!r}, expected {ENCODING!r}")
             self.listing = Listing(class_names, {}, pattern="HDF5 groups")
             for split in filter(file.__contains__, SPLITS):
                 self.listing.objects[split] = self._list(file[split], split)
+            others = [
+                name
+                for name in file
+                if name not in SPLITS
+                and isinstance(file[name], h5py.Group)
+                and "points" in file[name]
+            ]
         counts = {split: len(self.listing.of(split)) for split in SPLITS}
         self.listing.words = (
             f"HDF5 groups {' and '.join(self.listing.splits())}: {len(class_names)} classes, "
             f"{counts['train']:,} training, {counts['test']:,} test objects"
+            + (f"; left out: the groups {', '.join(others)}" if others else "")
         )
+        reason = (
+            f"is a group of clouds that is neither {' nor '.join(SPLITS)}; call it one of these"
+        )
+        self.listing.rejected = [
+            RejectedObject(printable(name), "", reason, printable(name), failed=True)
+            for name in others
+        ]
 
     def _list(self, group: h5py.Group, split: str) -> list[ObjectRef]:
         where = f"group {split}"
@@ -180,6 +199,12 @@ class HdfStore:
             if row.max(initial=0) > CODE_MAX:
                 raise InputError(
                     f"{self._file.path}: {ref.location} has the code {row.max()}, above {CODE_MAX}"
+                )
+            # Decoded, padding with zeros would be a corner of the cube.
+            if padded := int(padding(points.T if len(points) == 3 else points).sum()):
+                raise InputError(
+                    f"{self._file.path}: {ref.location} has {padded} points of the codes "
+                    f"(0, 0, 0), as arrays are padded; remove them"
                 )
             points = points / CODE_MAX * 2 - 1
         return (points.T if len(points) == 3 else points), None

@@ -74,6 +74,9 @@ class CompleteClouds:
         self.class_names = listed.class_names
         self.rejected = listed.rejected
         self.listing = listed.words
+        if up is None and any("modelnet40_train.txt" in note for note in listed.notes):
+            # PointNet++, which published it, turns it about y for "up".
+            self.listing += "; modelnet40_normal_resampled has y up: if it is that, say --up y"
         refs = [ref for split in listed.splits() for ref in listed.of(split)]
         present = {self.class_names[ref.label] for ref in refs}
         forty = present == set(MODELNET40) and self.frame == "aligned"

@@ -54,10 +54,10 @@ class Directory:
             folders[:] = [
                 f
                 for f in folders
-                if not _hidden(f) and not here.resolve().is_relative_to((here / f).resolve())
+                if not hidden(f) and not here.resolve().is_relative_to((here / f).resolve())
             ]
             inside = here.relative_to(self.root)
-            found += [(inside / f).as_posix() for f in files if not _hidden(f)]
+            found += [(inside / f).as_posix() for f in files if not hidden(f)]
         return sorted(found)
 
     def read(self, name: str) -> bytes:
@@ -85,7 +85,7 @@ class Archive:
         if not self.path.is_file():
             what = "is a folder, not a file" if self.path.exists() else "does not exist"
             raise InputError(f"{self.path} {what}; expected a zip file of meshes or of clouds")
-        self._opened: tuple[int, zipfile.ZipFile, dict[str, str]] | None = None
+        self._opened: tuple[int, zipfile.ZipFile, dict[str, list[zipfile.ZipInfo]]] | None = None
         self._open()
 
     def __str__(self) -> str:
@@ -97,7 +97,7 @@ class Archive:
     def names(self) -> list[str]:
         """As ``Files.names``."""
         _, members = self._open()
-        return sorted(name for name in members if not any(map(_hidden, name.split("/"))))
+        return sorted(name for name in members if not any(map(hidden, name.split("/"))))
 
     def read(self, name: str) -> bytes:
         """As ``Files.read``."""
@@ -106,8 +106,13 @@ class Archive:
     def head(self, name: str, size: int) -> bytes:
         """As ``Files.head``."""
         archive, members = self._open()
+        same = members.get(name, [])
+        if len({(info.CRC, info.file_size) for info in same}) > 1:
+            raise InputError(
+                f"{self.path}: {len(same)} different members are called {name}; pack it anew"
+            )
         try:
-            with archive.open(members[name]) as member:
+            with archive.open(members[name][0]) as member:
                 return member.read(size)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError) as error:
             raise InputError(f"{self.path}: the member {name} is broken ({error})") from error
@@ -115,8 +120,8 @@ class Archive:
             # An encrypted member, or (NotImplementedError) a compression that this Python lacks.
             raise InputError(f"{self.path}: the member {name} cannot be read ({error})") from error
 
-    def _open(self) -> tuple[zipfile.ZipFile, dict[str, str]]:
-        """This process's handle, and path inside the tree → the member's own name."""
+    def _open(self) -> tuple[zipfile.ZipFile, dict[str, list[zipfile.ZipInfo]]]:
+        """This process's handle, and path inside the tree → the members that lie there."""
         if self._opened is None or self._opened[0] != os.getpid():
             try:
                 archive = zipfile.ZipFile(self.path)
@@ -126,25 +131,30 @@ class Archive:
         return self._opened[1:]
 
 
-def _members(archive: zipfile.ZipFile) -> dict[str, str]:
-    """Path with "/" between parts → the member's own name.
+def _members(archive: zipfile.ZipFile) -> dict[str, list[zipfile.ZipInfo]]:
+    """Path with "/" between parts → the members that lie there: more than one in a damaged zip.
 
     Old .NET libraries write "\\" between them, which zip does not have; others keep what the folder
     was called when it was packed ("./mug/0.off", "/data//mug/0.off").
     """
-    names = [info.filename for info in archive.infolist() if not info.is_dir()]
-    if not any("/" in name for name in names):
-        return {name.replace("\\", "/"): name for name in names if not name.endswith("\\")}
-    members = {}
-    for name in names:
+    infos = [info for info in archive.infolist() if not info.is_dir()]
+    backslashes = not any("/" in info.filename for info in infos)
+    members: dict[str, list[zipfile.ZipInfo]] = {}
+    for info in infos:
+        name = info.filename
+        if backslashes:
+            if name.endswith("\\"):
+                continue
+            name = name.replace("\\", "/")
         parts = [part for part in name.split("/") if part not in ("", ".")]
         while parts[:1] == [".."]:
             del parts[0]
-        members["/".join(parts)] = name
+        members.setdefault("/".join(parts), []).append(info)
     return members
 
 
-def _hidden(part: str) -> bool:
+def hidden(part: str) -> bool:
+    """Whether a file or folder of this name is none of the user's: ``.git``, ``._a.off``."""
     return part.startswith(".") or part == "__MACOSX"
 
 

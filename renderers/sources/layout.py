@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 
 from partialbench.dataset.categories import MODELNET40
+from partialbench.errors import InputError
 
 SPLIT_NAMES = {
     "train": "train", "training": "train", "trainval": "train", "test": "test", "testing": "test",
@@ -86,11 +87,18 @@ def split_name(folder: str) -> str:
 
 
 def understand(locations: Sequence[str]) -> Layout:
-    """The layout of a tree from the paths ("/" between parts) of its meshes or clouds."""
+    """The layout of a tree from the paths ("/" between parts) of its meshes or clouds.
+
+    Raises:
+        InputError: several data sets lie beside each other, each with classes and splits.
+    """
     paths = [PurePosixPath(location) for location in sorted(locations)]
     layout = Layout()
     folders = {path: path.parts[:-1] for path in paths}
     level, split_first = _class_level(list(folders.values()), [p.stem for p in paths])
+    if not split_first:
+        inner_folders = [folder[max(level, 0) :] for folder in folders.values()]
+        _require_one_set(inner_folders, [p.stem for p in paths])
     found: list[tuple[PurePosixPath, str, str, tuple[str, ...], str]] = []
     above = folders[paths[0]][:level] if paths and level > 0 else ()
     layout.root = "".join(f"{part}/" for part in above)
@@ -135,10 +143,11 @@ def _doubts(categories: set[str]) -> list[str]:
     ]
     alike = defaultdict(list)
     for name in sorted(categories):
-        alike[unicodedata.normalize("NFC", name).casefold()].append(name)
+        letters = unicodedata.normalize("NFC", name).casefold()
+        alike[re.sub(r"[\W_]+", "", letters) or letters].append(name)
     return notes + [
-        f"{', '.join(map(ascii, names))} are a class each, though only capitals or the way an "
-        f"accent is written tell them apart"
+        f"{', '.join(map(ascii, names))} are a class each, though only capitals, blanks and signs "
+        f"or the way an accent is written tell them apart"
         for names in alike.values()
         if len(names) > 1
     ]
@@ -180,6 +189,31 @@ def _is_one_class(folders: list[tuple[str, ...]], stems: list[str], level: int) 
     names = {name for _, name in inside}
     again = len(set(inside)) > len(names)  # a folder of this name in several splits
     return not (again or names <= set(MODELNET40) or max(Counter(inside).values()) > 1)
+
+
+def _require_one_set(inner: list[tuple[str, ...]], stems: list[str]) -> None:
+    """``InputError`` where the folders at the level of classes are data sets, from how all files
+    lie in them: <class>/<split>/…, or <split>/<class>/… with several files of a class that is in
+    both splits."""
+    sets = sorted({folder[0] for folder in inner if folder})
+    if len(sets) < 2 or any(len(folder) < 3 for folder in inner):
+        return
+    splits_below = all(split_name(f[2]) and not split_name(f[1]) for f in inner)
+    files: dict[tuple[str, str], dict[str, set[str]]] = defaultdict(lambda: defaultdict(set))
+    for folder, stem in zip(inner, stems, strict=True):
+        files[folder[0], folder[2]][folder[1]].add(stem)
+    # An object may be numbered anew in each split, but is one file, or one of a known name.
+    classes_below = all(split_name(f[1]) for f in inner) and any(
+        len(of_split) > 1 and len(names) > 1 and not {n.casefold() for n in names} & {*MAIN_FILES}
+        for of_split in files.values()
+        for names in of_split.values()
+    )
+    if splits_below or classes_below:
+        raise InputError(
+            f"{', '.join(sets[:3])}{', …' if len(sets) > 3 else ''} each hold classes and splits "
+            f"of their own ({'/'.join(inner[0])}), as data sets do; give one of these folders, or "
+            f"put the classes of all into one"
+        )
 
 
 def _hold_one_object_each(folders: list[tuple[str, ...]], stems: list[str], level: int) -> bool:

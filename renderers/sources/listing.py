@@ -16,6 +16,7 @@ from partialbench.errors import InputError
 from renderers.sources.files import Files
 from renderers.sources.layout import Entry, Layout, understand
 from renderers.sources.lists import apply_lists
+from renderers.sources.unread import unread
 
 SPLITS = ("train", "test")
 TRAIN_SHARE = 0.8
@@ -80,6 +81,7 @@ def list_tree(files: Files, locations: list[str], suffixes: tuple[str, ...]) -> 
     apply_lists(files, layout)
     if not layout.entries:
         return None
+    layout.left_out += unread(files, layout, suffixes)
     notes = list(layout.notes)
     if any(not entry.split for entry in layout.entries):
         notes.append("where nothing says the split, four in five are training objects by name")

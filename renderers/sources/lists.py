@@ -20,6 +20,7 @@ _LIST = re.compile(
 )
 _SPLITS = re.compile(r"(?:.*[_\-.])?splits?\.json", re.IGNORECASE)
 """What a file of all splits is called."""
+_TABLE = re.compile(r"\.(?:csv|tsv)$", re.IGNORECASE)
 _HEAD = 4096
 
 
@@ -52,12 +53,20 @@ def is_list(name: str) -> bool:
     return _LIST.fullmatch(PurePosixPath(name).name) is not None
 
 
+def _is_table(name: str) -> bool:
+    """Whether a table is called as a list of one split's objects, or of all, is called."""
+    if not _TABLE.search(name):
+        return False
+    return is_list(_TABLE.sub(".txt", name)) or bool(_SPLITS.fullmatch(_TABLE.sub(".json", name)))
+
+
 def apply_lists(files: _Readable, layout: Layout) -> None:
     """Give a layout's objects the splits that lists beside them say.
 
     Only objects that lie in no split's folder are looked for. Of several sets in one folder the one
     that names most of them is taken. An object that no list names is left out, as is a name that no
-    file gives, a list that cannot be read, and one that names no object where no other does.
+    file gives, a list that cannot be read, and where none is taken one that names no object and a
+    table that is called as lists are.
 
     Raises:
         InputError: an object in two splits, or a name that fits several objects.
@@ -66,8 +75,11 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
     if not entries:
         return
     candidates: dict[tuple[str, str], _Lists] = {}
+    tables = []
     for name in files.names():
         base = PurePosixPath(name).name
+        if _is_table(base) and not looks_like_points(files.head(name, _HEAD)):
+            tables.append(name)
         match = _LIST.fullmatch(base)
         if not (match or _SPLITS.fullmatch(base)) or looks_like_points(files.head(name, _HEAD)):
             continue
@@ -90,6 +102,10 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
         # A split that somebody made is not replaced by ours without a word.
         reason = "is called as a list of a split is, but names no object that is here"
         layout.left_out += [(name, reason) for lists in candidates.values() for name in lists.files]
+        reason = (
+            "is called as a list of splits is, but no table is read; write a name a line in .txt"
+        )
+        layout.left_out += [(name, reason) for name in tables]
         return
     _use(list(best.values()), layout)
 

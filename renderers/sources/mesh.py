@@ -47,8 +47,8 @@ def read_mesh(
         source: the file's content or its path.
         suffix: one of ``SUFFIXES``; taken from the path where it is "".
         up: the file's upward axis. "y" (glTF by its standard, most OBJ) turns y onto z and z onto
-            −y, which keeps the handedness. It alone decides: the axis that a COLLADA file
-            declares is not read.
+            −y, which keeps the handedness. It alone decides; where glTF's standard or a COLLADA
+            file says another axis, a notice tells.
         name: what errors call the file; the path where it was given one.
 
     Returns:
@@ -82,6 +82,11 @@ def read_mesh(
         require_counts(content, suffix, polygons)
         triangles, notices = polygons.triangles()
     notices = (*polygons.notices, *polygons.unused(), *notices)
+    if polygons.up and polygons.up != up:
+        notices += (
+            f"{polygons.up} is up by what the file or its format says, but it was read with {up} "
+            f"up; the option --up decides",
+        )
     for notice in notices:
         log.info("%s: %s", name, notice)
     vertices = polygons.vertices
@@ -99,11 +104,16 @@ def normalise(mesh: trimesh.Trimesh, name: str = "the mesh") -> trimesh.Trimesh:
     as it is.
 
     Raises:
-        InputError: no face with an area, or a vertex in use that is no finite number.
+        InputError: no face with an area, a face that names a vertex that is not there, or a vertex
+            in use that is no finite number.
     """
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if not len(faces):
         raise InputError(f"{name}: has no faces")
+    if len(outside := faces[(faces < 0) | (faces >= len(vertices))]):
+        raise InputError(
+            f"{name}: a face names vertex {outside[0]}; its vertices are 0 to {len(vertices) - 1}"
+        )
     if not (np.isfinite(vertices).all() or np.isfinite(vertices[faces]).all()):
         raise InputError(f"{name}: has vertices that are NaN or infinite")
     notices: tuple[str, ...] = tuple(mesh.metadata.get("notices", ()))

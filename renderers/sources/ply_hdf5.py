@@ -25,6 +25,7 @@ from partialbench.dataset.shards import open_hdf5
 from partialbench.dataset.sources import ObjectRef, RejectedObject
 from partialbench.errors import InputError, parsing
 from renderers.sources.cloud_store import HdfFile, dataset, require_counts, whole_labels
+from renderers.sources.files import hidden
 from renderers.sources.listing import SPLITS, Listing
 
 SUFFIXES = (".h5", ".hdf5")
@@ -32,10 +33,16 @@ _SPLIT = re.compile(r"(?<![a-z])(train|test)(?:ing)?(?![a-z])", re.IGNORECASE)
 
 
 def hdf5_files(path: Path) -> list[Path]:
-    """The HDF5 files at a path: itself, or those in a folder and below it, by name."""
+    """The HDF5 files at a path: itself, or those in a folder and below it, by name; none hidden."""
     if path.is_file():
         return [path] if path.suffix.lower() in SUFFIXES else []
-    return sorted(p for p in path.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file())
+    return sorted(
+        p
+        for p in path.rglob("*")
+        if p.suffix.lower() in SUFFIXES
+        and p.is_file()
+        and not any(map(hidden, p.relative_to(path).parts))
+    )
 
 
 def fields_of(path: Path) -> set[str]:
@@ -103,6 +110,11 @@ class PlyHdf5Store:
         self.listing.class_names = _class_names(names, highest, folder)
         for split, name, count, labels, meshes in sorted(rows, key=lambda r: r[1]):
             self._add(split, name, count, labels, meshes)
+        ids = [{ref.object_id for ref in self.listing.of(split)} for split in SPLITS]
+        if both := sorted(ids[0] & ids[1]):
+            self.listing.notes.append(
+                f"{len(both)} meshes are in both splits by the id2file.json lists ({both[0]}, …)"
+            )
         self._say(listed)
 
     def _left_out(self, name: str, reason: str) -> None:
@@ -133,12 +145,12 @@ class PlyHdf5Store:
         counts = {split: len(listing.of(split)) for split in SPLITS}
         present = {ref.label for split in SPLITS for ref in listing.of(split)}
         splits = f"splits from {', '.join(listed)}" if listed else "splits by the files' names"
-        listing.notes.append(splits)
+        listing.notes.insert(0, splits)
         out = [r.location for r in listing.rejected]
         listing.words = (
             f"modelnet40_ply_hdf5_2048: {len(present)} classes, {counts['train']:,} training, "
-            f"{counts['test']:,} test objects; {splits}; y up, as it is published, unless "
-            f"--up says otherwise"
+            f"{counts['test']:,} test objects; {'; '.join(listing.notes)}; y up, as it is "
+            f"published, unless --up says otherwise"
             + (f"; {len(out)} files left out: {', '.join(out)}" if out else "")
         )
 
@@ -173,15 +185,24 @@ def _labels(file: h5py.File) -> NDArray[np.int64]:
 
 
 def _shape_names(folder: Path) -> list[str]:
-    for path in sorted(folder.glob("*shape_names.txt")):
-        names = _lines(path)
-        for line, name in enumerate(names, 1):
-            # A label is the number of a line: none may be skipped.
-            if not name or name in names[: line - 1]:
-                what = f"is {name!r} for the second time" if name else "is empty"
-                raise InputError(f"{path}: line {line} {what}; expected a class a line")
-        return names
-    return []
+    paths = sorted(folder.glob("*shape_names.txt"))
+    if folder / "shape_names.txt" in paths:
+        paths = [folder / "shape_names.txt"]
+    lists = [_lines(path) for path in paths]
+    if any(names != lists[0] for names in lists):
+        raise InputError(
+            f"{folder} has {', '.join(path.name for path in paths)}, which name other classes; "
+            f"keep the one that the labels are of"
+        )
+    if not lists:
+        return []
+    names = lists[0]
+    for line, name in enumerate(names, 1):
+        # A label is the number of a line: none may be skipped.
+        if not name or name in names[: line - 1]:
+            what = f"is {name!r} for the second time" if name else "is empty"
+            raise InputError(f"{paths[0]}: line {line} {what}; expected a class a line")
+    return names
 
 
 def _lines(path: Path) -> list[str]:
@@ -223,7 +244,8 @@ def _meshes(folder: Path, name: str) -> list[str]:
     path = folder / f"{match[1]}_{match[2]}_id2file.json" if match else folder / "none"
     if not path.is_file():
         return []
-    data: Any = json.loads(path.read_bytes())
+    with parsing(path.name, "JSON"):
+        data: Any = json.loads(path.read_bytes())
     if not (isinstance(data, list) and all(isinstance(item, str) for item in data)):
         raise InputError(f"{path.name} is no list of names")
     return data

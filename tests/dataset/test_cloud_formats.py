@@ -147,6 +147,10 @@ def test_an_archive_of_several_arrays_is_refused_by_its_keys(rng) -> None:
     np.testing.assert_array_equal(read_cloud(written.npz(arr_0=points), "a.npz"), points)
     with pytest.raises(InputError, match="its points fill space, they are on no surface"):
         read_cloud(written.npz(points=points, occupancies=points[:, 0]), "a.npz")
+    with pytest.raises(InputError, match=r"signed distances \(pos, neg\): its points fill space"):
+        read_cloud(written.npz(pos=np.ones((9, 4)), neg=np.ones((9, 4))), "a.npz")
+    with pytest.raises(InputError, match="holds faces: a mesh, whose vertices are no even sample"):
+        read_cloud(written.npz(vertices=points, faces=np.zeros((4, 3), int)), "a.npz")
 
 
 def test_normals_are_kept_where_the_file_has_them(rng) -> None:

@@ -308,6 +308,7 @@ DIALECTS: dict[str, bytes] = {
         "plain_colours.off": off("OFF", " 9 9 9"),
         "normals.off": off("NOFF", " 0 0 1"),
         "both.off": off("CNOFF", " 0 0 1 9 9 9 255"),
+        "meshlab.off": off("NCSTOFF", " 9 9 9 255 0 0 1 0.5 0.5"),
         "texture.off": off("STOFF", " 0.5 0.5"),
         "divided.off": off("4OFF", " 1"),
         "dimension.off": off("nOFF\n3"),

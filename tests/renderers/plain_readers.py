@@ -76,9 +76,12 @@ def read_off(content: bytes) -> list[Polygon]:
         return _off_binary(content[binary.end() :])
     lines = [words_of(line.split("#")[0]) for line in lines_of(content)]
     lines = [line for line in lines if line]
-    keyword = re.match(r"(ST)?(C)?(N)?(4)?(n)?(OFF|off)", lines[0][0])
+    keyword = re.match(r"((?:ST|[CN4n])*)(OFF|off)", lines[0][0])
     assert keyword is not None
-    texture, colour, normal, divided, dimension, _ = keyword.groups()
+    texture, colour, normal, divided, dimension = (
+        keyword[1].count(each) for each in ("ST", "C", "N", "4", "n")
+    )
+    assert max(texture, colour, normal, divided, dimension) < 2
     rest = lines[0][0][keyword.end() :]
     lines[0] = [rest, *lines[0][1:]] if rest else lines[0][1:]
     lines = [line for line in lines if line]

@@ -166,6 +166,32 @@ def test_two_releases_in_one_folder_are_not_mixed(release) -> None:
         open_source(root.parent)
 
 
+def test_two_lists_of_classes_are_not_chosen_from(release) -> None:
+    root, _ = release
+    (root / "shape_names.txt").rename(root / "modelnet40_shape_names.txt")
+    assert open_source(root).class_names == ("mug", "pan", "pot")
+    (root / "modelnet10_shape_names.txt").write_text("pan\nmug\npot\n")
+    with pytest.raises(InputError, match=r"modelnet10_shape_names.*, which name other classes"):
+        open_source(root)
+
+
+def test_a_mesh_in_both_splits_and_a_broken_list_are_told(release) -> None:
+    root, _ = release
+    (root / "ply_data_test_0_id2file.json").write_text('["pot/pot_0007.ply"]')
+    assert "1 meshes are in both splits by the id2file.json lists (pot/pot_0007" in (
+        open_source(root).listing
+    )
+    (root / "ply_data_test_0_id2file.json").write_text("[")
+    with pytest.raises(InputError, match=r"id2file\.json: cannot be read as JSON"):
+        open_source(root)
+
+
+def test_what_a_mac_leaves_beside_the_files_is_no_file_of_the_release(release) -> None:
+    root, _ = release
+    (root / "._ply_data_train0.h5").write_bytes(b"Mac OS X")
+    assert open_source(root).rejected == []
+
+
 OWN = {
     "class_names": np.array([b"a", b"b"]),
     "train/points": np.random.default_rng(0).normal(size=(3, 3, 30)),
@@ -181,6 +207,8 @@ OWN = {
         ("class_names", "a,b", r"class_names is object \(\), expected strings of shape"),
         ("class_names", np.array([b"K\xe4se", b"b"]), r"holds b'K\\xe4se', which is no UTF-8"),
         ("class_names", np.array([b"a", b"a"]), "class_names has a name twice: a, a"),
+        ("class_names", np.array([b"a", b"a "]), "class_names has a name twice: a, a "),
+        ("class_names", np.array([b"a", b" "]), "name 1 of class_names is empty"),
         ("train/object_id", np.arange(3), r"object_id is int64 \(3,\), expected strings"),
         ("train/object_id", np.array([b"a\xff", b"b", b"c"]), "which is no UTF-8"),
         ("train/label", np.array([0, 1.5, 0]), "row 1 of label is 1.5, expected a whole number"),
@@ -197,6 +225,17 @@ def test_quirks_of_the_own_layout_are_told(tmp_path: Path, name: str, value, mes
                 file[key] = content
     with pytest.raises(InputError, match=message):
         CompleteClouds(tmp_path / "c.h5")
+
+
+def test_a_third_split_of_the_own_layout_is_told(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "c.h5", "w") as file:
+        for key, content in OWN.items():
+            file[key] = content
+            if key.startswith("train"):
+                file[key.replace("train", "val")] = content
+    source = CompleteClouds(tmp_path / "c.h5")
+    assert source.listing.endswith("3 training, 0 test objects; left out: the groups val")
+    assert [(r.location, r.failed) for r in source.rejected] == [("val", True)]
 
 
 @pytest.fixture

@@ -130,6 +130,15 @@ def test_codes_above_the_range_are_told(stored: Path) -> None:
         source.load(source.objects("train")[0])
 
 
+def test_codes_of_padding_are_told(stored: Path) -> None:
+    """Decoded, they are a corner of the cube that no other check knows."""
+    with h5py.File(stored, "a") as file:
+        file["train/points"][0, :, 50:] = 0
+    source = CompleteClouds(stored)
+    with pytest.raises(InputError, match=r"train/0 has 14 points of the codes \(0, 0, 0\)"):
+        source.load(source.objects("train")[0])
+
+
 def test_what_is_no_source_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
         CompleteClouds(tmp_path / "nothing.h5")

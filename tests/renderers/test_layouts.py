@@ -288,11 +288,12 @@ def test_lists_in_a_folder_of_their_own_are_of_the_classes_beside_it(tmp_path: P
 
 
 def test_doubtful_names_of_classes_are_said(tmp_path: Path) -> None:
-    names = ("test/a.off", "other/b.off", "caf\u00e9/c.off", "cafe\u0301/d.off")
+    names = ("test/a.off", "other/b.off", "caf\u00e9/c.off", "cafe\u0301/d.off", "Other /e.off")
     source = open_source(write(tmp_path, *names))
     assert "'test' is taken for a class" in source.listing
     assert r"'cafe\u0301', 'caf\xe9' are a class each" in source.listing
-    assert len(source.class_names) == 4
+    assert "'Other ', 'other' are a class each" in source.listing
+    assert len(source.class_names) == 5
 
 
 def test_a_zip_with_backslashes_is_one_with_slashes(tmp_path: Path) -> None:

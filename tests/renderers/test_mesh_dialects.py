@@ -50,6 +50,23 @@ def test_up_y_turns_every_format_alike() -> None:
         np.testing.assert_allclose(found.bounds.T, [x, -z[::-1], y], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("content", "suffix", "said"),
+    [(DIALECTS["plain.glb"], ".glb", "y"), (dae(), ".dae", "z"),
+     (dae().replace(b"Z_UP", b"Y_UP"), ".dae", "y"), (dae().replace(b"Z_UP", b"X_UP"), ".dae", "x"),
+     (DIALECTS["plain.obj"], ".obj", ""), (dae().replace(b"Z_UP", b""), ".dae", "")],
+)  # fmt: skip
+def test_another_axis_than_the_file_says_is_told(content: bytes, suffix: str, said: str) -> None:
+    for up in "zy":
+        told = read_mesh(content, suffix, up).metadata["notices"]
+        if said in ("", up):
+            assert told == ()
+        else:
+            (notice,) = told
+            assert notice.startswith(f"{said} is up by what the file")
+            assert f"read with {up} up" in notice
+
+
 def test_what_was_left_out_is_told() -> None:
     def notices(name: str) -> str:
         found = read_mesh(DIALECTS[name], PurePosixPath(name).suffix)
@@ -60,9 +77,10 @@ def test_what_was_left_out_is_told() -> None:
         "1 lines are no surface and were left out; 1 points are no surface and were left out"
     )
     assert "1 faces of fewer than three corners" in notices("edges.off")
-    assert notices("graph.glb") == "1 meshes stand outside the scene and were left out"
-    turned = dae().replace(b"Z_UP", b"Y_UP")
-    assert "declares Y_UP" in read_mesh(turned, ".dae").metadata["notices"][0]
+    assert notices("graph.glb") == (
+        "1 meshes stand outside the scene and were left out; y is up by what the file or its "
+        "format says, but it was read with z up; the option --up decides"
+    )
     document, data = scene()
     document["meshes"][0]["primitives"].append({"attributes": {"POSITION": 0}, "mode": 1})
     assert "1 lines are no surface" in read_mesh(glb(document, data), ".glb").metadata["notices"][0]

@@ -221,6 +221,10 @@ def test_what_cannot_be_normalised() -> None:
         normalise(mesh([[0, 0, 0], [1, np.nan, 0], [0, 1, 0]], [[0, 1, 2]]))
     with pytest.raises(InputError, match="has no faces"):
         normalise(mesh([[0, 0, 0]], np.zeros((0, 3), int)))
+    # −1 would be the last vertex to NumPy.
+    for k in (3, -1):
+        with pytest.raises(InputError, match=f"names vertex .*{k}.*; its vertices are 0 to 2"):
+            normalise(mesh(np.eye(3), [[0, 1, 2], [0, 1, k]]))
     # NaN in a vertex that no face uses is dropped with it.
     unused = mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [np.nan] * 3], [[0, 1, 2]])
     assert np.isfinite(normalise(unused).vertices).all()

@@ -85,6 +85,7 @@ def test_coordinates_are_the_nearest_float64() -> None:
         (PLAIN.replace("OFF", "COFF"), "vertex 0 is '0 0 0'; expected 7 or 6 numbers"),
         (PLAIN.replace("OFF", "XOFF"), "begins with 'XOFF'; expected OFF"),
         (PLAIN + "0 1\n", "7 lines follow the counts of 4 vertices and 2 faces; expected 6"),
+        (PLAIN.replace("OFF", "NCNOFF"), "begins with 'NCNOFF', which says a thing twice"),
         ("OFF\n", "has no counts behind its keyword"),
         ("OFF\nfour two 0\n", "'four' is one of the counts of .*; expected a whole number"),
         ("OFF\n4 0 0\n" + VERTICES, "4 vertices and 0 faces; expected at least one face"),

@@ -6,6 +6,7 @@ import hashlib
 import os
 import pickle
 import shutil
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -180,6 +181,22 @@ def test_links_are_followed_but_not_in_circles(tmp_path: Path) -> None:
         "airplane/airplane_0003",
         "chair/chair_0001",
     ]
+
+
+@pytest.mark.parametrize("second", ["mug/train/a.off", "./mug/train/a.off"])
+def test_a_zip_with_two_files_of_one_name_gives_neither(second: str, tmp_path: Path) -> None:
+    path = tmp_path / "m.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("mug/train/a.off", OFF)
+        archive.writestr("mug/train/b.off", OFF)
+        with warnings.catch_warnings(action="ignore"):
+            archive.writestr(second, OFF.replace(b"2", b"3"))
+            archive.writestr("mug/train/b.off", OFF)  # the same again does no harm
+    source = MeshFolder(path)
+    a, b = source.objects("train")
+    with pytest.raises(InputError, match="2 different members are called mug/train/a"):
+        source.load(a)
+    assert len(source.load(b).faces) == 2
 
 
 def test_a_zip_is_read_after_a_fork(tmp_path: Path) -> None:

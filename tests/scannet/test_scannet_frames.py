@@ -166,6 +166,34 @@ def test_labels_of_another_mesh_are_refused(scene, label_map):
         read_scene(scene, label_map)
 
 
+def test_labels_in_another_order_are_refused(scene, label_map):
+    """As many vertices, each somewhere else: the numbers would be other vertices'."""
+    path = scene / f"{scene.name}_vh_clean_2.labels.ply"
+    head, body = path.read_text().split("end_header\n")
+    count = int(head.split("element vertex ")[1].split()[0])
+    rows = body.splitlines(keepends=True)
+    path.write_text(head + "end_header\n" + "".join(rows[count - 1 :: -1] + rows[count:]))
+    with pytest.raises(InputError, match=r"labels\.ply: vertex 0 is at .*, the mesh's vertex 0 at"):
+        read_scene(scene, label_map)
+
+
+def test_scans_are_read_in_every_dialect_that_meshes_are(scene, label_map):
+    before = read_scene(scene, label_map)
+    for kind in ("", ".labels"):
+        path = scene / f"{scene.name}_vh_clean_2{kind}.ply"
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r"))
+    read = read_scene(scene, label_map)
+    for name in ("vertices", "faces", "normals", "labels"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(before, name))
+
+
+def test_more_faces_than_a_scan_counts_are_an_input_error(scene, label_map):
+    path = scene / f"{scene.name}_vh_clean_2.ply"
+    path.write_bytes(path.read_bytes() + b"3 0 1 2\n")
+    with pytest.raises(InputError, match=r"1 lines follow the \d+ that the PLY header counts"):
+        read_scene(scene, label_map)
+
+
 def test_label_map_errors(tmp_path):
     with pytest.raises(InputError, match="part of the ScanNet download: put it into the --scannet"):
         read_label_map(tmp_path / "absent.tsv")

@@ -32,6 +32,11 @@ def test_json_lists(tmp_path):
         ({"train": ["scene0000_00"], "test": ["scene0000_02"]}, "scene0000_00 and scene0000_02"),
         ({"train": [470], "test": []}, "holds 470"),
         ({"train": [""], "test": []}, "holds"),
+        (
+            {"train": ["scene0000_00.sens"], "test": []},
+            r'holds "scene0000_00.sens", expected scene',
+        ),
+        ({"train": ["scans/scene0000_00"], "test": []}, "expected scene ids like scene0470_00"),
         ({"training": []}, "expected JSON"),
         ({"train": [], "tset": []}, "what is 'tset'"),
         (["scene0000_00"], "expected JSON"),
@@ -42,6 +47,13 @@ def test_what_is_no_split_is_refused(tmp_path, lists, message):
     path = tmp_path / "split.json"
     path.write_text(json.dumps(lists))
     with pytest.raises(InputError, match=message):
+        read_split_files([path])
+
+
+def test_a_list_that_is_there_twice_is_refused(tmp_path):
+    path = tmp_path / "split.json"
+    path.write_text('{"train": ["scene0000_00"], "test": [], "train": []}')
+    with pytest.raises(InputError, match="a list is there twice"):
         read_split_files([path])
 
 

@@ -18,9 +18,8 @@ KEYS = (
 )  # fmt: skip
 """Names under which archives and structured arrays hold the points."""
 NORMAL_KEYS = ("normals", "normal")
-_OTHER_KEYS = {
-    *NORMAL_KEYS, "colors", "colours", "color", "colour", "rgb", "faces", "triangles",
-}  # fmt: skip
+FACE_KEYS = ("faces", "face", "triangles", "tris")
+_OTHER_KEYS = {*NORMAL_KEYS, "colors", "colours", "color", "colour", "rgb"}
 """Names of what may have the shape of points and is none."""
 
 
@@ -51,8 +50,14 @@ def read_npz(content: bytes) -> Points:
         names = {name.lower(): name for name in archive.files}
         if len(names) < len(archive.files):
             raise InputError(f"holds {', '.join(archive.files)}: one name twice but for capitals")
-        if "occupancies" in names:
-            raise InputError("holds occupancies: its points fill space, they are on no surface")
+        if "occupancies" in names or {"pos", "neg"} <= names.keys():
+            what = "occupancies" if "occupancies" in names else "signed distances (pos, neg)"
+            raise InputError(f"holds {what}: its points fill space, they are on no surface")
+        if faces := [names[name] for name in FACE_KEYS if name in names]:
+            raise InputError(
+                f"holds {faces[0]}: a mesh, whose vertices are no even sample of its surface; save "
+                f"it as one of OBJ, PLY, OFF"
+            )
         known = [name for name in KEYS if name in names]
         # Of several arrays that were saved without a name, none is known to be the points.
         unnamed = known == ["arr_0"] and len(names) > 1

@@ -62,12 +62,14 @@ def _off(content: bytes) -> dict[str, int]:
     if b"#" in head:
         head = re.sub(rb"#[^\r\n]*", b" ", content)[:1000]
     keyword = _OFF.match(head)
+    word = keyword[0] if keyword else b""
+    dimension = re.search(rb"n[STCN4]*OFF", word) is not None
     if keyword is None or not keyword[1].strip():
         numbers = re.findall(rb"[0-9]+", head)
         # The keyword's own figure, and the dimension that follows nOFF.
-        start = (b"4OFF" in content[:20].upper()) + (b"nOFF" in content[:20])
+        start = (b"4" in word) + dimension
         return {"vertices": int(numbers[start]), "faces": int(numbers[start + 1])}
-    at = content.index(b"\n") + 1 + 4 * (b"nOFF" in keyword[0])
+    at = content.index(b"\n") + 1 + 4 * dimension
     vertices, faces = struct.unpack_from(">ii", content, at)
     return {"vertices": vertices, "faces": faces}
 

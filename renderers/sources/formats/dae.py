@@ -197,8 +197,8 @@ def read_dae(content: bytes) -> Polygons:
     """The polygons of a COLLADA file's scene, in the file's own unit and axes.
 
     Neither the unit nor the upward axis that the file declares is applied: an object is scaled to
-    the unit ball anyway, and which axis is up is said by whoever opens the files. What it declares
-    is told in the notices, and so are lines and splines that were left out.
+    the unit ball anyway, and which axis is up is said by whoever opens the files; ``up`` is what it
+    declares. Lines and splines that were left out are told in the notices.
 
     Raises:
         InputError: the XML is broken, an element is missing or unknown where it would matter, what
@@ -232,9 +232,8 @@ def read_dae(content: bytes) -> Polygons:
         f"{n} {kind} are no surface and were left out" for kind, n in reader.left_out.items()
     ]
     up = next((e.text or "" for e in root.iter("{*}up_axis")), "").strip()
-    if up and up != "Z_UP":
-        notices.append(f"it declares {up}, which was not applied: the option --up says what is up")
-    return replace(mesh, notices=(*mesh.notices, *notices))
+    up = up.removesuffix("_UP").lower()
+    return replace(mesh, notices=(*mesh.notices, *notices), up=up)
 
 
 def _kind(element: Any) -> str:

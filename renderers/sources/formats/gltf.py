@@ -12,7 +12,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -83,9 +83,10 @@ def read_gltf(content: bytes) -> Polygons:
     ]
     if not found.triangles:
         raise InputError("has no faces; expected a mesh, not points or lines")
-    return Polygons.of_triangles(
+    mesh = Polygons.of_triangles(
         np.concatenate(found.vertices), np.concatenate(found.triangles), tuple(notices)
     )
+    return replace(mesh, up="y")  # section 3.4 of the specification
 
 
 def _refuse(feature: str) -> InputError:

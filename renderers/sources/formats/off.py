@@ -19,7 +19,7 @@ from renderers.sources.formats.polygons import Polygons
 from renderers.sources.formats.text import decimals, shown, unix_lines, whole
 
 _COMMENT = re.compile(rb"#[^\r\n]*")
-_KEYWORD = re.compile(rb"\s*(?:(ST)?(C)?(N)?(4)?(n)?OFF|((?:st)?c?n?4?off))(?![A-Za-z])")
+_KEYWORD = re.compile(rb"\s*(?:((?:ST|[CN4n])*)OFF|((?:st|[cn4])*)off)(?![A-Za-z])")
 _COUNTS = re.compile(rb"\s*(\S+)\s+(\S+)(?:[ \t]+(\S+))?")
 _BINARY = re.compile(rb"[ \t]*BINARY[ \t]*(?:\r\n|\r|\n)")
 _FACE_COLOURS = (0, 1, 3, 4)
@@ -41,13 +41,13 @@ class _Layout:
 def read_off(content: bytes) -> Polygons:
     """The polygons of an OFF file, as the file has them: nothing merged, nothing dropped.
 
-    Takes ``OFF`` with any of ``ST C N 4 n`` before it, upper or lower case, on a line of its own or
-    fused with the counts (``OFF3514 3546 0``), with or without the count of edges; comments; LF,
-    CRLF or CR; one vertex or face a line, in which case RGB or RGBA behind plain ``OFF`` vertices
-    and a colour behind faces are left out, or any other white space, in which case there must be
-    nothing but what the counts promise; binary. The vertices of ``4OFF`` are divided by their
-    fourth number, those of ``nOFF`` must have three dimensions. Faces of two corners are edges:
-    they are left out, and the notices say so.
+    Takes ``OFF`` with any of ``ST C N 4 n`` before it in any order, upper or lower case, on a line
+    of its own or fused with the counts (``OFF3514 3546 0``), with or without the count of edges;
+    comments; LF, CRLF or CR; one vertex or face a line, in which case RGB or RGBA behind plain
+    ``OFF`` vertices and a colour behind faces are left out, or any other white space, in which case
+    there must be nothing but what the counts promise; binary. The vertices of ``4OFF`` are divided
+    by their fourth number, those of ``nOFF`` must have three dimensions. Faces of two corners are
+    edges: they are left out, and the notices say so.
 
     Raises:
         InputError: the file is no OFF, holds less or more than its counts say, has no face, or a
@@ -83,16 +83,18 @@ def read_off(content: bytes) -> Polygons:
 
 def _layout(keyword: re.Match[bytes]) -> tuple[_Layout, bool]:
     """What a matched keyword says, and whether a line with the dimension follows it."""
-    texture, colour, normal, divided, dimension, small = keyword.groups()
-    if small is not None:
-        return _layout(_KEYWORD.match(small.upper()) or keyword)
-    width = 3 + bool(divided) + 3 * bool(normal) + 2 * bool(texture)
+    # In any order: Geomview writes CNOFF, MeshLab NCOFF.
+    flags = re.findall(rb"ST|[CN4n]", keyword[2].upper() if keyword[1] is None else keyword[1])
+    if len(set(flags)) < len(flags):
+        raise InputError(f"begins with {shown([keyword[0].strip()])!r}, which says a thing twice")
+    divided = b"4" in flags
+    width = 3 + divided + 3 * (b"N" in flags) + 2 * (b"ST" in flags)
     widths: tuple[int, ...] = (width,)
-    if colour:
+    if b"C" in flags:
         widths = width + 4, width + 3
     elif width == 3:
         widths = _PLAIN
-    return _Layout(bool(divided), widths), bool(dimension)
+    return _Layout(divided, widths), b"n" in flags
 
 
 def _require_three(dimension: int) -> None:

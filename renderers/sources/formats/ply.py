@@ -61,6 +61,22 @@ def read_ply(content: bytes) -> Polygons:
     return Polygons.of_faces(vertices, np.concatenate(corners), np.concatenate(sizes))
 
 
+def read_vertices(content: bytes, names: tuple[str, ...]) -> dict[str, NDArray]:
+    """Properties of the vertices, (n,) float64 or int64 each, whether there are faces or none.
+
+    Raises:
+        InputError: one of these properties is absent or a list; else as ``read_ply``.
+    """
+    header = parse_header(content)
+    for name in names:
+        found = [p for e in header.elements if e.name == "vertex" for p in e.properties]
+        if [p.length_dtype for p in found if p.name == name] != [""]:
+            raise InputError(f"its vertices have no property {name!r} of one number")
+    read = _read_ascii if header.encoding == "ascii" else _read_binary
+    columns = read(content[header.size :], header, {"vertex": names}).get("vertex", {})
+    return {name: columns[name][0] if columns else np.zeros(0) for name in names}
+
+
 def _require_properties(element: PlyElement, names: tuple[str, ...]) -> None:
     found = [p for p in element.properties if p.name in names]
     lists = names == _FACES

@@ -27,6 +27,7 @@ class Polygons:
         sizes: (F,) int64, the corners of each face, at least 3.
         notices: what the file holds besides, and what became of it: a sentence each.
         edges: how many more faces the file has, of fewer than three corners.
+        up: the axis that is up by the file's own word or its format's, "" where neither says it.
     """
 
     vertices: NDArray[np.float64]
@@ -34,6 +35,7 @@ class Polygons:
     sizes: NDArray[np.int64]
     notices: tuple[str, ...] = ()
     edges: int = 0
+    up: str = ""
 
     @classmethod
     def of_triangles(

@@ -15,7 +15,6 @@ the scan about z, and Scan2CAD's poses are relative to the mesh as stored.
 from __future__ import annotations
 
 import csv
-import io
 import json
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -23,12 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from partialbench.dataset.categories import PS15
 from partialbench.dataset.ply import require_whole
 from partialbench.errors import InputError
+from renderers.sources.formats.ply import read_ply, read_vertices
 from renderers.sources.scannet.labels import decide_numbering, to_nyu40
 
 LABEL_MAP = "scannetv2-labels.combined.tsv"
@@ -36,6 +35,9 @@ LABEL_MAP = "scannetv2-labels.combined.tsv"
 # A class's nyu40 ids are those that hold at least this share of its raw categories' instances: it
 # keeps "bookshelf" and "shelves" for bookshelf and drops "otherfurniture" for bed (one bunk bed).
 NYU40_SHARE = 0.05
+
+SAME_PLACE_M = 0.01
+"""So far may a labelled vertex be from the mesh's; in ScanNet they are the same to the last bit."""
 
 
 @dataclass(frozen=True)
@@ -167,8 +169,7 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
             f"{scene_id}: neither {scene_id}_vh_clean_2.labels.ply nor both of "
             f"{scene_id}_vh_clean_2.0.010000.segs.json and {scene_id}.aggregation.json are there"
         )
-    mesh = _read_ply(files["mesh"])
-    vertices = np.asarray(mesh.vertices, np.float64)
+    vertices, faces = _read_mesh(files["mesh"])
     if not np.isfinite(vertices).all():
         raise InputError(f"{files['mesh'].name}: has vertices that are not finite")
     notes: dict[str, Any] = {}
@@ -183,42 +184,34 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
         labels = _labels_of_groups(groups, segments, label_map, notes)
     else:
         assert raw is not None
-        labels = raw
-    faces = np.asarray(mesh.faces, np.int64)
-    return Scene(scene_id, vertices, faces, _normals(mesh), labels, groups, segments, notes)
+        labels, places = raw
+        _require_same_places(files["labels"], places, vertices)
+    normals = _normals(vertices, faces)
+    return Scene(scene_id, vertices, faces, normals, labels, groups, segments, notes)
 
 
-def _read_ply(path: Path) -> trimesh.Trimesh:
+def _read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (n,3), metres, and triangles (f,3) of a scan, f ≥ 1."""
     try:
         content = path.read_bytes()
         require_whole(content)
-        mesh = trimesh.load(io.BytesIO(content), file_type="ply", process=False)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
     except OSError as error:
         raise InputError(f"{path.name}: cannot be read: {error}") from error
+    try:
+        polygons = read_ply(content)
+        return polygons.vertices, polygons.triangles()[0]
     except Exception as error:  # a damaged file surfaces in the parser as almost anything
-        raise InputError(f"{path.name}: damaged PLY ({type(error).__name__}: {error})") from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.vertices) == 0:
-        raise InputError(f"{path.name}: has no faces or no vertices, expected a triangle mesh")
-    outside = (mesh.faces < 0) | (mesh.faces >= len(mesh.vertices))
-    if outside.any():
-        raise InputError(
-            f"{path.name}: a face names vertex {mesh.faces[outside][0]}; the file's vertices are "
-            f"0 to {len(mesh.vertices) - 1}"
-        )
-    return mesh
+        raise InputError(f"{path.name}: damaged PLY ({error})") from error
 
 
-def _normals(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
+def _normals(vertices: NDArray, faces: NDArray[np.int64]) -> NDArray[np.float64]:
     """Area-weighted vertex normals (trimesh's own weigh by angle, an order of magnitude slower)."""
-    a, b, c = np.asarray(mesh.vertices)[mesh.faces].transpose(1, 0, 2)
+    a, b, c = vertices[faces].transpose(1, 0, 2)
     across = np.cross(b - a, c - a)
     total = np.stack(
-        [
-            np.bincount(mesh.faces.ravel(), np.repeat(across[:, i], 3), len(mesh.vertices))
-            for i in range(3)
-        ],
+        [np.bincount(faces.ravel(), np.repeat(across[:, i], 3), len(vertices)) for i in range(3)],
         axis=1,
     )
     length = np.linalg.norm(total, axis=1, keepdims=True)
@@ -257,22 +250,34 @@ def _labels_of_groups(
     return labels
 
 
-def _read_labels(path: Path, vertices: int) -> NDArray[np.int64]:
-    """The file's own numbers, whatever they mean."""
-    mesh = _read_ply(path)
+def _read_labels(path: Path, vertices: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The file's own numbers, whatever they mean, and where (n,3) its vertices are, metres."""
+    places, _ = _read_mesh(path)
     try:
-        # Binary files give a structured array here, text files a dictionary.
-        raw = mesh.metadata["_ply_raw"]["vertex"]["data"]["label"]
-    except (KeyError, ValueError) as error:
-        raise InputError(f"{path.name}: its vertices have no property 'label'") from error
-    numbers = np.array(raw).reshape(-1)
+        numbers = read_vertices(path.read_bytes(), ("label",))["label"]
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from error
     with np.errstate(invalid="ignore"):  # what is not finite is no whole number either
         labels = numbers.astype(np.int64)
     if (broken := labels != numbers).any():
         raise InputError(f"{path.name}: a label is no whole number: {numbers[broken][0]}")
     if len(labels) != vertices:
         raise InputError(f"{path.name}: labels {len(labels)} vertices, the mesh has {vertices}")
-    return labels
+    return labels, places
+
+
+def _require_same_places(path: Path, places: NDArray, vertices: NDArray) -> None:
+    """``InputError`` where the vertices (n,3) that are labelled are not the mesh's, one by one.
+
+    Another mesh, or this one in another order, may have as many.
+    """
+    off = np.linalg.norm(places - vertices, axis=1)
+    if not (off <= SAME_PLACE_M).all():  # NaN is nowhere
+        k = int(np.argmax(~(off <= SAME_PLACE_M)))
+        raise InputError(
+            f"{path.name}: vertex {k} is at {places[k].round(3).tolist()}, the mesh's vertex {k} "
+            f"at {vertices[k].round(3).tolist()}; expected the labels of this mesh, in its order"
+        )
 
 
 def settle_labels(

@@ -86,8 +86,14 @@ def _named_after(path: Path) -> str:
 
 def _json_lists(path: Path, text: str) -> list[tuple[str, list[str]]]:
     expected = f'split file {path}: expected JSON {{"train": [scene ids], "test": [scene ids]}}'
+
+    def no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(dict(pairs)) < len(pairs):
+            raise ValueError("a list is there twice")
+        return dict(pairs)
+
     try:
-        lists = json.loads(text)
+        lists = json.loads(text, object_pairs_hook=no_duplicates)
     except ValueError as error:
         raise InputError(f"{expected} ({error})") from error
     if not isinstance(lists, dict) or not lists.keys() & _LISTS.keys():
@@ -103,7 +109,8 @@ def _checked(ids: Any, name: str, path: Path) -> list[str]:
             f"split file {path}: {name!r} is {json.dumps(ids)[:60]}, expected a list of scene ids"
         )
     for scene_id in ids:
-        if not isinstance(scene_id, str) or not re.fullmatch(r"\S+", scene_id):
+        # A path or a file's name would fit no scene, and its scan be in neither split.
+        if not isinstance(scene_id, str) or not re.fullmatch(r"[\w\-]+", scene_id):
             raise InputError(
                 f"split file {path}: {name!r} holds {json.dumps(scene_id)[:60]}, expected scene "
                 f"ids like scene0470_00, or spaces like scene0470"
