@@ -137,7 +137,7 @@ def test_an_archive_of_several_arrays_is_refused_by_its_keys(rng) -> None:
         read_cloud(written.npz(a=points, b=points), "a.npz")
     with pytest.raises(InputError, match="holds points, xyz; expected one array"):
         read_cloud(written.npz(points=points, xyz=points), "a.npz")
-    for name in ("normals", "Colors", "faces"):
+    for name in ("normals", "Colors", "rgb"):
         with pytest.raises(InputError, match=f"holds {name}; expected one array, or one called"):
             read_cloud(written.npz(**{name: points}), "a.npz")
     with pytest.raises(InputError, match="holds arr_0, arr_1; expected one array"):
