@@ -24,7 +24,7 @@ from partialbench.dataset.lock import sole_user
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.names import printable
 from partialbench.dataset.rows import Job, ObjectRows, pickled
-from partialbench.dataset.settings import SETTINGS
+from partialbench.dataset.settings import SETTINGS, require_camera_frame
 from partialbench.dataset.shards import (
     TEMPORARY_SUFFIX,
     PackedImages,
@@ -60,14 +60,11 @@ class BuildPlan:
     def __post_init__(self) -> None:
         if self.job.setting not in SETTINGS:
             raise InputError(f"setting {self.job.setting!r} is not one of {', '.join(SETTINGS)}")
-        setting = SETTINGS[self.job.setting]
-        for option, what in (("keep_depth", "depth images"), ("normals", "normals")):
-            beside = getattr(self.job.occluder, option, False)
-            if beside and not setting.whole and setting.turns != "so3":
-                raise InputError(
-                    f"the setting {self.job.setting!r} moves clouds out of their camera's frame, "
-                    f"to which {what} belong; render the setting 'partial' with them"
-                )
+        kept = {"depth_images": "keep_depth", "normals": "normals"}
+        require_camera_frame(
+            self.job.setting,
+            **{what: getattr(self.job.occluder, option, False) for what, option in kept.items()},
+        )
         for name, value in (
             ("points", self.job.points),
             ("rows_per_shard", self.rows_per_shard),
