@@ -1,8 +1,8 @@
 """The loader: what it returns, and that it survives forks and spawns."""
 
+import json
 import multiprocessing
 import pickle
-import json
 import shutil
 
 import h5py
