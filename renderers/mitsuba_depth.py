@@ -21,6 +21,7 @@ from renderers.tracing import Tracer, make_tracer
 from renderers.variants import activate, pick_variant
 from renderers.visibility import inside_image, sight_lines, surface_samples
 
+DEFAULT_RESOLUTION = 256
 MOST_PIXELS = 2**28
 """Of one image: Mitsuba's arrays end at 2³² numbers, and a ray has more than one."""
 
@@ -38,7 +39,8 @@ class MitsubaOccluder:
     use it must be spawned, not forked from one that already did: its threads do not survive a fork.
 
     Attributes:
-        resolution: image width and height in pixels, of a camera fitted to the unit ball per view.
+        resolution: image width and height in pixels, of a camera fitted to the unit ball per view;
+            a ``camera`` has its own, and another resolution beside it is refused.
         variant: a Mitsuba variant, or "auto" for the fastest that works. The first use settles it:
             a copy sent to another process afterwards uses the same variant, or fails there.
         keep_depth: whether a view keeps its depth image.
@@ -54,7 +56,7 @@ class MitsubaOccluder:
             result does not depend on it.
     """
 
-    resolution: int = 256
+    resolution: int = DEFAULT_RESOLUTION
     variant: str = "auto"
     keep_depth: bool = False
     visibility_samples: int = 2048
@@ -75,6 +77,11 @@ class MitsubaOccluder:
             )
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
+        if self.camera is not None and self.resolution != DEFAULT_RESOLUTION:
+            raise InputError(
+                f"resolution={self.resolution} would have no effect: the camera has its own image, "
+                f"{self.camera.width}×{self.camera.height} pixels; give one of them"
+            )
         require_share(self.occluders)
         if isinstance(make_sensor(self.sensor), Stereo):  # raises for an unknown name or strength
             require_opencv()

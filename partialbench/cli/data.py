@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from partialbench import arguments
 from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, given, print_result, stderr
-from partialbench.dataset.settings import SETTINGS
+from partialbench.dataset.settings import SETTINGS, require_camera_frame
 from partialbench.errors import InputError, PartialbenchError
+
+if TYPE_CHECKING:
+    from partialbench.dataset.grid import Cell
 
 commands = Verbs("Data")
 
@@ -201,6 +205,11 @@ def render(
         )
     cells = [] if grid is None else grids.load(grid)
     if cells:
+        # What is wrong of one cell is said before another is rendered.
+        if data_set.value == "ps15":
+            grids.require_no_sensors(cells)
+        for cell in cells:
+            require_camera_frame(cell.setting, depth_images=keep_depth, normals=normals)
         grids.write(out, cells)
     chosen: list[tuple[Path, str, str | None, float]] = [
         (out / cell.name, cell.setting, cell.sensor, cell.occluders) for cell in cells
@@ -222,7 +231,7 @@ def render(
                     rules=arguments.pairs(rule) or None,
                 ),
                 occluder_options=_of_setting(
-                    its_setting, bool(cells), resolution=resolution,
+                    its_setting, cells, resolution=resolution,
                     camera=camera and arguments.camera(camera), variant=variant,
                     occluders=its_occluders or None, keep_depth=keep_depth or None, radius=radius,
                     gamma=gamma,
@@ -260,9 +269,11 @@ def render(
         )
 
 
-def _of_setting(setting: str, of_grid: bool, **options: Any) -> dict[str, Any]:
-    """The occluder's options that are given; of a grid's complete clouds none applies."""
-    return {} if of_grid and SETTINGS[setting].whole else given(**options)
+def _of_setting(setting: str, cells: Sequence[Cell], **options: Any) -> dict[str, Any]:
+    """The occluder's options that are given. To complete clouds none applies, and of a grid they
+    are for the cells of one view, where it has any."""
+    for_others = any(not SETTINGS[cell.setting].whole for cell in cells)
+    return {} if for_others and SETTINGS[setting].whole else given(**options)
 
 
 def _tell(folder: Path, manifest: Any, as_json: bool) -> None:

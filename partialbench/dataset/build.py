@@ -16,6 +16,7 @@ from typing import Any
 from partialbench.dataset import croissant
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset import objects as tables
+from partialbench.dataset.card import NAME as CARD
 from partialbench.dataset.card import write_card
 from partialbench.dataset.executors import process_pool
 from partialbench.dataset.in_order import run_in_order
@@ -24,7 +25,7 @@ from partialbench.dataset.lock import sole_user
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.names import printable
 from partialbench.dataset.rows import Job, ObjectRows, pickled
-from partialbench.dataset.settings import SETTINGS
+from partialbench.dataset.settings import SETTINGS, require_camera_frame
 from partialbench.dataset.shards import (
     TEMPORARY_SUFFIX,
     PackedImages,
@@ -60,14 +61,11 @@ class BuildPlan:
     def __post_init__(self) -> None:
         if self.job.setting not in SETTINGS:
             raise InputError(f"setting {self.job.setting!r} is not one of {', '.join(SETTINGS)}")
-        setting = SETTINGS[self.job.setting]
-        for option, what in (("keep_depth", "depth images"), ("normals", "normals")):
-            beside = getattr(self.job.occluder, option, False)
-            if beside and not setting.whole and setting.turns != "so3":
-                raise InputError(
-                    f"the setting {self.job.setting!r} moves clouds out of their camera's frame, "
-                    f"to which {what} belong; render the setting 'partial' with them"
-                )
+        kept = {"depth_images": "keep_depth", "normals": "normals"}
+        require_camera_frame(
+            self.job.setting,
+            **{what: getattr(self.job.occluder, option, False) for what, option in kept.items()},
+        )
         for name, value in (
             ("points", self.job.points),
             ("rows_per_shard", self.rows_per_shard),
@@ -218,10 +216,12 @@ def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manif
         kept = [
             entry
             for entry in existing.shards
-            if (not entry.rows or ((out / entry.file).is_file() and _listed(entry, table)))
+            if (not entry.rows or (_is_whole(out, entry) and _listed(entry, table)))
             and not (retry_failed and any(f["kind"] == "failed" for f in entry.failures))
         ]
-        if len(kept) < len(existing.shards):  # a shard was deleted or is wanted anew
+        papers = all((out / name).is_file() for name in (CARD, croissant.NAME, manifests.FAILURES))
+        # A shard was deleted, cut short or is wanted anew, or what lies beside them was deleted.
+        if len(kept) < len(existing.shards) or (existing.state == "complete" and not papers):
             existing.shards, existing.state, existing.digests = kept, "building", {}
             existing.card_sha256 = ""
             existing.listing, existing.listing_failures = wanted.listing, wanted.listing_failures
@@ -239,6 +239,12 @@ def _begin_or_continue(out: Path, wanted: Manifest, retry_failed: bool) -> Manif
         )
     wanted.save(out)
     return wanted
+
+
+def _is_whole(out: Path, entry: ShardEntry) -> bool:
+    """Whether a shard's file is there in its whole length; more is for ``verify`` to tell."""
+    path = out / entry.file
+    return path.is_file() and path.stat().st_size == entry.bytes
 
 
 def _readable_table(out: Path) -> dict[str, str]:

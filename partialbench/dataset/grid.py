@@ -15,12 +15,14 @@ from __future__ import annotations
 import itertools
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from partialbench import registry
+from partialbench.dataset import manifest as manifests
+from partialbench.dataset.manifest import Manifest, differences
 from partialbench.dataset.others import require_share
 from partialbench.dataset.settings import SETTINGS
 from partialbench.dataset.shards import make_folder, write_atomically
@@ -120,6 +122,18 @@ def _values(content: Mapping[str, Any], axis: str, where: str) -> list[Any]:
     return values
 
 
+def require_no_sensors(cells: Iterable[Cell]) -> None:
+    """Raises ``InputError`` for a sensor before scanned objects: a scan has the noise of its own
+    scanner in every view, and of another scan the objects are others."""
+    for cell in cells:
+        if cell.sensor != Cell.sensor:
+            raise InputError(
+                f"the grid has the sensor {cell.sensor!r}, but a sensor is of rendered meshes: "
+                f"scans and simulated rooms have the noise of their own scanner in every cell; "
+                f"leave the axis out"
+            )
+
+
 def write(folder: Path, cells: list[Cell]) -> None:
     """Lists the cells of a folder, each a data folder in it by its name.
 
@@ -151,8 +165,13 @@ def read(folder: Path) -> list[Cell]:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r}")
-        return [Cell(**cell) for cell in content["cells"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        cells = [Cell(**cell) for cell in content["cells"]]
+        for cell in cells:
+            if parse(cell.name) != cell:
+                raise ValueError(f"{cell} is no cell")
+            float(cell.sensor.partition(":")[2] or 1)
+        return cells
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{folder} is no grid of 'partialbench render --grid': {path.name}: {error}"
         ) from error
@@ -171,6 +190,68 @@ def folders(path: Path) -> list[Path]:
     if inside and path.name in [cell.name for cell in read(path.parent)]:
         return [path]
     return [path / cell.name for cell in read(path)]
+
+
+def require_cells(grid: Path, names: Iterable[str]) -> None:
+    """Holds cells against their names, and the whole grid's folders against each other.
+
+    A table of a grid pairs clouds by the names of their objects, which other objects may have too.
+
+    Args:
+        grid: the folder that ``render --grid`` made.
+        names: of the cells that are to be tested on.
+
+    Raises:
+        InputError: a cell is no data folder; it shows something else than its name says; or cells
+            of the grid have not the same objects, seen from the same places in the same way.
+    """
+    wanted = list(names)
+    first: dict[str, tuple[str, dict[str, Any]]] = {}
+    for cell in read(grid):
+        folder = grid / cell.name
+        if cell.name not in wanted and not (folder / manifests.NAME).is_file():
+            continue
+        manifest = manifests.load(folder)
+        _require_named(manifest, cell, folder)
+        for part, made in (("objects", _objects(manifest)), (cell.shown, _seen(manifest))):
+            before, other = first.setdefault(part, (cell.name, made))
+            for key, there, here in differences(other, made):
+                raise InputError(
+                    f"the cells of {grid} do not pair cloud by cloud: {key} of {before} is "
+                    f"{there!r}, of {cell.name} {here!r}; render the grid into a new folder"
+                )
+
+
+def _require_named(manifest: Manifest, cell: Cell, folder: Path) -> None:
+    name, _, strength = cell.sensor.partition(":")
+    sensor = "" if name == "ideal" else f"{name}:{float(strength or 1):g}"  # as a manifest has it
+    for what, held, named in (
+        ("setting", manifest.configuration["setting"], cell.setting),
+        ("sensor", manifest.sensor, sensor),
+        ("occluders", manifest.occluders, cell.occluders),
+    ):
+        if held != named:
+            raise InputError(
+                f"{folder} is not the cell that its name says: {what} is {held!r}, expected "
+                f"{named!r}; render the grid into a new folder"
+            )
+
+
+def _objects(manifest: Manifest) -> dict[str, Any]:
+    """Which objects a data folder shows, and from where."""
+    made = manifest.configuration
+    return {
+        "dataset_id": manifest.dataset_id, "class_names": manifest.class_names,
+        **{key: made.get(key) for key in ("source", "views", "seed", "objects_per_class")},
+    }  # fmt: skip
+
+
+def _seen(manifest: Manifest) -> dict[str, Any]:
+    """How a data folder's objects are seen, but for the axes, for what is kept beside the points
+    and for what traced the same rays."""
+    others = ("sensor", "occluders", "pool", "keep_depth", "normals", "variant")
+    made = manifest.configuration["occluder"]
+    return {f"occluder.{key}": made[key] for key in made.keys() - set(others)}
 
 
 def parse(name: str) -> Cell:

@@ -296,6 +296,12 @@ def _read_small_and_layout(
             offsets = {name: file[name].id.get_offset() for name in _MAPPED if name in file}
             if None in offsets.values() or "points" not in offsets:
                 raise InputError(f"{path}: points are not stored contiguously; made by a hand?")
+            if len(ids) != entry.rows:
+                # No digest covers the number, by which rows are counted over shards.
+                raise InputError(
+                    f"{path} holds {len(ids)} rows, its manifest says {entry.rows}: the manifest "
+                    f"was edited or is damaged; run the render again in a new folder"
+                )
             layout.append(_Shard(path, entry.rows, offsets, "depth" in file))
     if not layout:
         raise InputError(f"{folder}: the split has no rows; see its failures.jsonl")

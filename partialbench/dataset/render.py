@@ -62,7 +62,8 @@ def plan_render(
         on_scene: called with (scans listed, scans in all).
         min_visible: distinct points a view shows at least; default: 16, of a scan its rule's.
         normals: whether rows have the normals of their points.
-        views: viewpoints per training object; test objects get one (PS15: the same number).
+        views: viewpoints per training object; test objects get one (PS15: the same number). Refused
+            where no split that is rendered has so many.
         splits: default: all the source has.
         objects_per_class: at most so many of each class in each split.
         points: stored per cloud.
@@ -91,7 +92,13 @@ def plan_render(
     of_source = given.mapping(source_options, "source_options")
     if data_set == "ps15" and min_visible is not None:
         # One of the rules by which scans are judged.
-        of_source["rules"] = {**of_source.get("rules", {}), "min_visible": min_visible}
+        rules = of_source.get("rules") or {}
+        if (ruled := rules.get("min_visible", min_visible)) != min_visible:
+            raise InputError(
+                f"min_visible is {min_visible} and the rule min_visible is {ruled!r}: they are one "
+                f"threshold of scans; give one of them"
+            )
+        of_source["rules"] = {**rules, "min_visible": min_visible}
     if source is None:
         source = "scannet" if "scannet" in of_source else DEFAULT_SOURCE[data_set]
     # One seed is behind everything that is generated; a scanned room was seen by its own sensor.
@@ -119,7 +126,7 @@ def plan_render(
         options["normals"] = True
     occluder = _make_occluder(occluder_name, options)
     least = getattr(occluder, "min_visible", LEAST_VISIBLE if min_visible is None else min_visible)
-    per_split = _views_per_split(data_set, views)
+    per_split = _views_per_split(data_set, views, chosen)
     return BuildPlan(
         Job(shapes, occluder, dataset_id, setting, per_split, points, seed, least),
         Path(out),
@@ -149,10 +156,17 @@ def _chosen_splits(asked: str | Sequence[str] | None, shapes: Source) -> tuple[s
     return chosen
 
 
-def _views_per_split(data_set: str, views: int | None) -> dict[str, int]:
+def _views_per_split(data_set: str, views: int | None, splits: Sequence[str]) -> dict[str, int]:
     if views is None:
         return dict(PAPER_VIEWS[data_set])
-    return {"train": views, "test": views if data_set == "ps15" else 1}
+    per_split = {"train": views, "test": views if data_set == "ps15" else 1}
+    if views not in (per_split[split] for split in splits):
+        raise InputError(
+            f"views={views} would have no effect: it is the number of viewpoints of a training "
+            f"object, a test object of {data_set} has one, and only the split {', '.join(splits)} "
+            f"is rendered; leave it out, or render the training split"
+        )
+    return per_split
 
 
 def render_dataset(

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from partialbench.errors import InputError
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -37,3 +39,19 @@ SETTINGS: dict[str, Setting] = {
 def turns_of(name: str) -> str:
     """``Setting.turns`` by name; "so3" for a setting of somebody else's data."""
     return SETTINGS[name].turns if name in SETTINGS else "so3"
+
+
+def require_camera_frame(name: str, **beside: bool) -> None:
+    """Raises ``InputError`` where a setting moves clouds out of the frame of what is to be kept.
+
+    Args:
+        name: of ``SETTINGS``.
+        beside: what is to be kept beside the points ("depth_images", "normals"), and whether it is.
+    """
+    setting = SETTINGS[name]
+    for what in (what.replace("_", " ") for what, kept in beside.items() if kept):
+        if not setting.whole and setting.turns != "so3":
+            raise InputError(
+                f"the setting {name!r} moves clouds out of their camera's frame, to which {what} "
+                f"belong; render the setting 'partial' with them"
+            )

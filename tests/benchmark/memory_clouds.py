@@ -111,10 +111,11 @@ class WholeView:
 
 
 def data_folder(
-    out: Path, dataset_id="toy", classes=CLASSES, objects=12, views=2, points=128, seed=0
-) -> Path:
+    out: Path, dataset_id="toy", classes=CLASSES, objects=12, views=2, points=128, seed=0,
+    setting="partial",
+) -> Path:  # fmt: skip
     """A complete data folder of solids."""
-    job = Job(SolidSource(objects, classes), WholeView(), dataset_id, "partial",
+    job = Job(SolidSource(objects, classes), WholeView(), dataset_id, setting,
               {"train": views, "test": 2}, points, seed)  # fmt: skip
     builder.build(builder.BuildPlan(job, out, ("train", "test")), InlineExecutor)
     return out

@@ -46,8 +46,8 @@ def board(tmp_path):
     data_folder(tmp_path / "work" / "data" / "toy", points=256)
     cells = tmp_path / "work" / "data" / "cells"
     grid.write(cells, grid.load(tmp_path / "grid.toml"))
-    for seed, cell in enumerate(CELLS, 5):
-        data_folder(cells / cell, points=256, seed=seed)
+    for cell in CELLS:
+        data_folder(cells / cell, points=256, seed=5, setting=grid.parse(cell).setting)
     path = tmp_path / "board.toml"
     path.write_text(TEXT + TESTS)
     return path

@@ -139,6 +139,21 @@ def test_a_partly_written_file_is_swept_and_a_deleted_shard_is_made_anew(tmp_pat
     assert contents(tmp_path) == reference
 
 
+@pytest.mark.parametrize("name", ["CARD.md", "failures.jsonl", "croissant.json", "train-00001.h5"])
+def test_what_a_complete_folder_lost_is_made_anew(tmp_path, reference, name):
+    build(plan(tmp_path), InlineExecutor)
+    (tmp_path / name).unlink()
+    build(plan(tmp_path), InlineExecutor)
+    assert contents(tmp_path) == reference
+
+
+def test_a_shard_cut_short_does_not_count_as_finished(tmp_path, reference):
+    build(plan(tmp_path), InlineExecutor)
+    os.truncate(tmp_path / "train-00001.h5", 1000)
+    build(plan(tmp_path), InlineExecutor)
+    assert contents(tmp_path) == reference
+
+
 def test_another_configuration_is_refused_by_name_and_nothing_is_touched(tmp_path):
     build(plan(tmp_path), InlineExecutor)
     before = contents(tmp_path)

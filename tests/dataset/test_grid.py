@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from partialbench.dataset import grid
 from partialbench.dataset.grid import Cell
 from partialbench.dataset.loader import ShardDataset
 from partialbench.errors import InputError
+from tests.benchmark.memory_clouds import data_folder
 from tests.benchmark.tiny_models import MODELS, SMALL
 
 WHOLE = """
@@ -81,6 +83,78 @@ def test_a_folder_holds_one_grid(tmp_path):
     assert grid.read(tmp_path) == [Cell("z")]
     grid.write(tmp_path, [Cell(), Cell("z")])
     assert grid.read(tmp_path) == [Cell(), Cell("z")]
+
+
+@pytest.fixture
+def cells(tmp_path):
+    """A grid of two cells."""
+    made = [Cell("z"), Cell()]
+    grid.write(tmp_path, made)
+    for cell in made:
+        data_folder(tmp_path / cell.name, objects=4, points=16, setting=cell.setting)
+    return [cell.name for cell in made]
+
+
+def test_a_folder_under_the_name_of_another_cell_is_told(tmp_path, cells):
+    grid.require_cells(tmp_path, cells)
+    shutil.rmtree(tmp_path / cells[1])
+    shutil.copytree(tmp_path / cells[0], tmp_path / cells[1])
+    with pytest.raises(InputError, match="setting is 'partial-z', expected 'partial'"):
+        grid.require_cells(tmp_path, cells)
+    grid.write(tmp_path, [Cell("z"), Cell(), Cell("z", sensor="tof"), Cell("z", occluders=0.25)])
+    for name, words in (
+        ("z_one-view_tof_0", "sensor is '', expected 'tof:1'"),
+        ("z_one-view_ideal_0.25", "occluders is 0.0, expected 0.25"),
+    ):
+        shutil.rmtree(tmp_path / cells[1], ignore_errors=True)
+        shutil.copytree(tmp_path / cells[0], tmp_path / name)
+        with pytest.raises(InputError, match=words):
+            grid.require_cells(tmp_path, [name])
+        shutil.rmtree(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [({"seed": 1}, "seed of z_.* is 0, of so3_.* 1"), ({"objects": 5}, "source.* 4, of so3_.* 5")],
+)
+def test_cells_of_other_objects_pair_with_none(tmp_path, cells, other, words):
+    """Built-in shapes of two seeds have the same names: a board would pair a chair with another."""
+    shutil.rmtree(tmp_path / cells[1])
+    data_folder(tmp_path / cells[1], points=16, **{"objects": 4, **other})
+    for asked in (cells, cells[1:]):
+        with pytest.raises(InputError, match=words):
+            grid.require_cells(tmp_path, asked)
+
+
+def test_conditions_of_no_folder_are_not_dropped(tmp_path, cells):
+    with pytest.raises(InputError, match="--test-damage would have no effect"):
+        run_eval("pointnet", checkpoint_file="x", test_grid=tmp_path, test_damages="jitter:1")
+    with pytest.raises(InputError, match="--test-points, --test-pose would have no effect"):
+        run_eval(
+            "pointnet", checkpoint_file="x", test_grid=tmp_path, test_points=64, test_poses="0"
+        )
+
+
+@pytest.mark.parametrize(
+    ("content", "command", "words"),
+    [
+        ("rotation = ['so3', 'z']", "pm40 --normals", "moves clouds out of their camera's frame"),
+        ("rotation = ['so3', 'z']", "pm40 --keep-depth", "to which depth images belong"),
+        ("sensor = ['ideal', 'tof']", "ps15", "the noise of their own scanner in every cell"),
+        ("", "pm40 --counts 1,1 --views 3", "views=3 would have no effect"),
+        ("shown = 'complete'", "pm40 --counts 1,1 --resolution 64", "resolution=64 does not apply"),
+    ],
+)
+def test_what_a_cell_does_not_take_is_said_before_any_is_rendered(
+    tmp_path, content, command, words
+):
+    (tmp_path / "grid.toml").write_text(content)
+    out = tmp_path / "grid"
+    render = ["render", *command.split(), "--grid", str(tmp_path / "grid.toml"), "--out", str(out)]
+    done = CliRunner().invoke(app, render)
+    assert done.exit_code == 1
+    assert words in str(done.exception)
+    assert not list(out.glob("*/*.h5"))
 
 
 def test_a_grid_is_rendered_and_tested(tmp_path):

@@ -1,5 +1,6 @@
 """The loader: what it returns, and that it survives forks and spawns."""
 
+import json
 import multiprocessing
 import pickle
 import shutil
@@ -146,6 +147,17 @@ def test_a_manifest_with_another_digest_is_not_believed(folder, tmp_path):
     path.write_text(path.read_text().replace(whole, "0" * 64))
     with pytest.raises(InputError, match=r"do not have the digest its manifest claims|manifest"):
         ShardDataset(copy, "train", 8)
+
+
+def test_a_manifest_with_other_numbers_of_rows_is_not_believed(folder, tmp_path):
+    """By them the rows of a shard are found: labels would be paired with other objects' points."""
+    path = shutil.copytree(folder, tmp_path / "copy") / "manifest.json"
+    manifest = json.loads(path.read_text())
+    first, second = [s for s in manifest["shards"] if s["split"] == "train"][:2]
+    first["rows"], second["rows"] = first["rows"] - 1, second["rows"] + 1
+    path.write_text(json.dumps(manifest))
+    with pytest.raises(InputError, match=rf"holds {first['rows'] + 1} rows, its manifest says"):
+        ShardDataset(path.parent, "train", 8)
 
 
 def test_a_shard_is_hashed_once_a_process(folder, monkeypatch):

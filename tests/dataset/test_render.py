@@ -18,7 +18,8 @@ from partialbench.errors import InputError
 from partialbench.geometry.camera import Camera
 from tests.dataset import toy
 
-SMALL = {"views": 2, "points": 128, "source_options": {"counts": (1, 1)}}
+CAMERA = Camera(np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), 160, 120)
+SMALL = {"views": 1, "points": 128, "source_options": {"counts": (1, 1)}}
 
 
 def test_the_papers_numbers_are_the_defaults(tmp_path):
@@ -45,6 +46,21 @@ def test_the_papers_numbers_are_the_defaults(tmp_path):
         ("pm40", {"occluder_options": {"radius": 3.0}}, "radius=3.0 does not apply"),
         ("pm40", {"sensor": "kinekt"}, "did you mean kinect-v1"),
         ("pm40", {"points": 0}, "points must be at least 1, got 0"),
+        (
+            "pm40",
+            {"splits": "test", "views": 5},
+            "views=5 would have no effect.*only the split test",
+        ),
+        (
+            "pm40",
+            {"occluder_options": {"camera": CAMERA, "resolution": 64}},
+            "resolution=64 would have no effect.*160×120 pixels",
+        ),
+        (
+            "ps15",
+            {"min_visible": 5, "source_options": {"rules": {"min_visible": 10}}},
+            "min_visible is 5 and the rule min_visible is 10",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(tmp_path, data_set, options, message, monkeypatch):
@@ -148,8 +164,7 @@ def test_noise_moves_points_off_the_surface_and_is_said(tmp_path):
 
 
 def test_a_fixed_camera_may_cut_objects(tmp_path):
-    camera = Camera(np.array([[150.0, 0, 80], [0, 150, 60], [0, 0, 1]]), 160, 120)
-    plan = plan_render("pm40", tmp_path, occluder_options={"camera": camera}, splits=("test",),
+    plan = plan_render("pm40", tmp_path, occluder_options={"camera": CAMERA}, splits=("test",),
                        **SMALL)  # fmt: skip
     manifest = build(plan, InlineExecutor)
     reasons = {f["reason"] for f in manifest.failures}

@@ -55,9 +55,12 @@ class Asked:
             num_points, class_names: trained on.
 
         Raises:
-            InputError: see ``ShardDataset``; or a test split without a class that is trained on.
+            InputError: see ``ShardDataset`` and ``grid.require_cells``; or a test split without a
+                class that is trained on.
         """
         tests = []
+        for grid in dict.fromkeys(path.parent for path in self.cells):
+            grids.require_cells(grid, [path.name for path in self.cells if path.parent == grid])
         for folder in self.folders:
             own = ShardDataset(folder.path, "test", num_points)
             tests.append(Test(own, folder.poses, folder.damages))
@@ -99,6 +102,14 @@ def read(
     points = _by_folder(test_points, "test_points", paths, _points)
     poses = _by_folder(test_poses, "test_poses", paths, _poses)
     damages = _by_folder(test_damages, "test_damages", paths, damage.parse)
+    if not paths:
+        # Asked of no folder they would be dropped.
+        conditions = {"points": test_points, "pose": test_poses, "damage": test_damages}
+        if unused := [name for name, value in conditions.items() if given.several(value, name)]:
+            raise InputError(
+                f"{', '.join(f'--test-{name}' for name in unused)} would have no effect: the cells "
+                f"of a grid are tested as they are; give --data or --test-data too, or leave it out"
+            )
     of_grid = [given.path(one, "a grid") for one in given.several(test_grid, "test_grid")]
     return Asked(
         [Folder(path, points[path], poses[path], damages[path]) for path in paths],
