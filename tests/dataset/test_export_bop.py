@@ -24,7 +24,7 @@ from tests.dataset.toy import plan
 def folders(tmp_path_factory):
     root = tmp_path_factory.mktemp("bop")
     made = plan_render(
-        "pm40", root / "data", source_options={"counts": (1, 1)}, views=2, points=64,
+        "pm40", root / "data", source_options={"counts": (1, 1)}, points=64,
         occluder_options={"resolution": 48, "keep_depth": True}, splits=("test",),
         rows_per_shard=25,
     )  # fmt: skip
