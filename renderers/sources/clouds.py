@@ -14,21 +14,20 @@ from numpy.typing import NDArray
 from partialbench.dataset.categories import MODELNET40
 from partialbench.dataset.cloud_files import FORMATS, read_oriented
 from partialbench.dataset.cloud_formats.points import padding
+from partialbench.dataset.cloud_formats.text import SUFFIXES as TEXT
 from partialbench.dataset.cloud_formats.text import looks_like_points
 from partialbench.dataset.names import printable
 from partialbench.dataset.sources import ObjectRef, OrientedCloud
 from partialbench.errors import InputError
 from renderers.sources.cloud_store import HdfStore
-from renderers.sources.files import Files, open_files
+from renderers.sources.files import HEAD, Files, open_files
 from renderers.sources.folder import EXPECTED
 from renderers.sources.listing import Listing, list_tree
 from renderers.sources.lists import is_list
 from renderers.sources.ply_hdf5 import PlyHdf5Store, fields_of, hdf5_files, is_ply_hdf5
 
 UPS = ("z", "y")
-_TEXT = (".txt", ".csv", ".pts", ".xyz")
 _PROSE = ("readme", "license", "licence", "notes", "changelog", "citation", "metadata", "index")
-_HEAD = 4096
 
 
 class CompleteClouds:
@@ -185,11 +184,11 @@ def _may_be_cloud(files: Files, name: str) -> bool:
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
         return False
-    if suffix not in _TEXT:
+    if suffix not in TEXT:
         return True
     # A table lies in a class's folder; at the top, and by these names, it may be anything.
     doubtful = len(path.parts) == 1 or is_list(name) or path.stem.lower() in _PROSE
-    return not doubtful or looks_like_points(files.head(name, _HEAD))
+    return not doubtful or looks_like_points(files.head(name, HEAD))
 
 
 class _FileStore:

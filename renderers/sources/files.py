@@ -12,6 +12,9 @@ from typing import Any, Protocol
 from partialbench.dataset.names import printable
 from partialbench.errors import InputError
 
+HEAD = 4096
+"""Bytes of a file's beginning that tell what it holds."""
+
 
 class Files(Protocol):
     """A tree of files. Picklable."""

@@ -7,10 +7,10 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
-from typing import Protocol
 
 from partialbench.dataset.cloud_formats.text import decode, looks_like_points
 from partialbench.errors import InputError
+from renderers.sources.files import HEAD, Files
 from renderers.sources.layout import Entry, Layout, split_name
 
 _LIST = re.compile(
@@ -21,13 +21,6 @@ _LIST = re.compile(
 _SPLITS = re.compile(r"(?:.*[_\-.])?splits?\.json", re.IGNORECASE)
 """What a file of all splits is called."""
 _TABLE = re.compile(r"\.(?:csv|tsv)$", re.IGNORECASE)
-_HEAD = 4096
-
-
-class _Readable(Protocol):
-    def names(self) -> list[str]: ...
-    def read(self, name: str) -> bytes: ...
-    def head(self, name: str, size: int) -> bytes: ...
 
 
 @dataclass
@@ -60,7 +53,7 @@ def _is_table(name: str) -> bool:
     return is_list(_TABLE.sub(".txt", name)) or bool(_SPLITS.fullmatch(_TABLE.sub(".json", name)))
 
 
-def apply_lists(files: _Readable, layout: Layout) -> None:
+def apply_lists(files: Files, layout: Layout) -> None:
     """Give a layout's objects the splits that lists beside them say.
 
     Only objects that lie in no split's folder are looked for. Of several sets in one folder the one
@@ -78,10 +71,10 @@ def apply_lists(files: _Readable, layout: Layout) -> None:
     tables = []
     for name in files.names():
         base = PurePosixPath(name).name
-        if _is_table(base) and not looks_like_points(files.head(name, _HEAD)):
+        if _is_table(base) and not looks_like_points(files.head(name, HEAD)):
             tables.append(name)
         match = _LIST.fullmatch(base)
-        if not (match or _SPLITS.fullmatch(base)) or looks_like_points(files.head(name, _HEAD)):
+        if not (match or _SPLITS.fullmatch(base)) or looks_like_points(files.head(name, HEAD)):
             continue
         split, of_set = (match["split"], match["set"] or "") if match else ("", "")
         try:

@@ -7,10 +7,11 @@ missing without a word.
 from __future__ import annotations
 
 from pathlib import PurePosixPath
-from typing import Protocol
 
 from partialbench.dataset.cloud_files import FORMATS
+from partialbench.dataset.cloud_formats.text import SUFFIXES as TEXT
 from partialbench.dataset.cloud_formats.text import looks_like_points
+from renderers.sources.files import HEAD, Files
 from renderers.sources.layout import Entry, Layout, split_name
 from renderers.sources.mesh import SUFFIXES
 
@@ -22,16 +23,9 @@ OTHER_SHAPES = (
 """Formats of shapes that nothing here reads."""
 _ARCHIVES = (".7z", ".rar", ".tar", ".tgz", ".zip")
 _PACKED = (".bz2", ".gz", ".xz", ".zst")
-_TEXT = (".txt", ".csv", ".pts", ".xyz")
-_HEAD = 4096
 
 
-class _Readable(Protocol):
-    def names(self) -> list[str]: ...
-    def head(self, name: str, size: int) -> bytes: ...
-
-
-def unread(files: _Readable, layout: Layout, suffixes: tuple[str, ...]) -> list[tuple[str, str]]:
+def unread(files: Files, layout: Layout, suffixes: tuple[str, ...]) -> list[tuple[str, str]]:
     """(location, reason) of files below the classes that are shapes and belong to no object.
 
     A file belongs to an object that has its name or in whose own folder it lies: it is the object
@@ -78,9 +72,9 @@ def _is_packed(name: str, suffix: str) -> bool:
     return suffix in _PACKED and inner in (*SUFFIXES, *FORMATS, *OTHER_SHAPES, ".tar")
 
 
-def _is_other_kind(files: _Readable, name: str, suffix: str) -> bool:
-    if suffix in _TEXT:
-        return looks_like_points(files.head(name, _HEAD))
+def _is_other_kind(files: Files, name: str, suffix: str) -> bool:
+    if suffix in TEXT:
+        return looks_like_points(files.head(name, HEAD))
     return suffix in (*SUFFIXES, *FORMATS)
 
 

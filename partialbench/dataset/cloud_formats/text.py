@@ -23,6 +23,9 @@ from partialbench.dataset.cloud_formats.points import (
 )
 from partialbench.errors import InputError
 
+SUFFIXES = (".txt", ".csv", ".pts", ".xyz")
+"""Of the files that are read so."""
+
 NUMBER = re.compile(
     r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf|infinity)", re.ASCII | re.IGNORECASE
 )

@@ -22,7 +22,13 @@ Columns = dict[str, tuple[NDArray, NDArray[np.int64]]]
 
 
 def read_ply(content: bytes) -> Polygons:
-    """The polygons of a PLY file: its faces, then its strips of triangles.
+    """The polygons of a PLY file; see ``read_with``."""
+    return read_with(content, ())[0]
+
+
+def read_with(content: bytes, names: tuple[str, ...]) -> tuple[Polygons, dict[str, NDArray]]:
+    """The polygons of a PLY file, its faces and then its strips of triangles; and, (n,) float64 or
+    int64 each, those properties of its vertices that are called so and are one number each.
 
     In an ASCII file a row stands on a line; blank lines are skipped, and coordinates are as exact
     as they are written. Faces of fewer than three corners are left out, and the notices say so.
@@ -37,9 +43,11 @@ def read_ply(content: bytes) -> Polygons:
     wanted = {"vertex": ("x", "y", "z"), "face": _FACES, "tristrips": _FACES}
     for element in header.elements:
         _require_properties(element, wanted.get(element.name, ()))
+    vertex = [p for e in header.elements if e.name == "vertex" for p in e.properties]
+    beside = [n for n in names if [p.length_dtype for p in vertex if p.name == n] == [""]]
     body = content[header.size :]
     read = _read_ascii if header.encoding == "ascii" else _read_binary
-    columns = read(body, header, wanted)
+    columns = read(body, header, {**wanted, "vertex": ("x", "y", "z", *beside)})
     if "vertex" not in columns:
         raise InputError("the PLY header has no element vertex")
     vertices = np.stack([columns["vertex"][axis][0] for axis in "xyz"], axis=1)
@@ -58,23 +66,8 @@ def read_ply(content: bytes) -> Polygons:
                 triangles = of_strip(strip)
                 corners.append(triangles.reshape(-1))
                 sizes.append(np.full(len(triangles), 3))
-    return Polygons.of_faces(vertices, np.concatenate(corners), np.concatenate(sizes))
-
-
-def read_vertices(content: bytes, names: tuple[str, ...]) -> dict[str, NDArray]:
-    """Properties of the vertices, (n,) float64 or int64 each, whether there are faces or none.
-
-    Raises:
-        InputError: one of these properties is absent or a list; else as ``read_ply``.
-    """
-    header = parse_header(content)
-    for name in names:
-        found = [p for e in header.elements if e.name == "vertex" for p in e.properties]
-        if [p.length_dtype for p in found if p.name == name] != [""]:
-            raise InputError(f"its vertices have no property {name!r} of one number")
-    read = _read_ascii if header.encoding == "ascii" else _read_binary
-    columns = read(content[header.size :], header, {"vertex": names}).get("vertex", {})
-    return {name: columns[name][0] if columns else np.zeros(0) for name in names}
+    polygons = Polygons.of_faces(vertices, np.concatenate(corners), np.concatenate(sizes))
+    return polygons, {name: columns["vertex"][name][0] for name in beside}
 
 
 def _require_properties(element: PlyElement, names: tuple[str, ...]) -> None:

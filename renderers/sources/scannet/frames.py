@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from partialbench.dataset.categories import PS15
 from partialbench.dataset.ply import require_whole
 from partialbench.errors import InputError
-from renderers.sources.formats.ply import read_ply, read_vertices
+from renderers.sources.formats.ply import read_with
 from renderers.sources.scannet.labels import decide_numbering, to_nyu40
 
 LABEL_MAP = "scannetv2-labels.combined.tsv"
@@ -169,7 +169,7 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
             f"{scene_id}: neither {scene_id}_vh_clean_2.labels.ply nor both of "
             f"{scene_id}_vh_clean_2.0.010000.segs.json and {scene_id}.aggregation.json are there"
         )
-    vertices, faces = _read_mesh(files["mesh"])
+    vertices, faces, _ = _read_mesh(files["mesh"])
     if not np.isfinite(vertices).all():
         raise InputError(f"{files['mesh'].name}: has vertices that are not finite")
     notes: dict[str, Any] = {}
@@ -190,8 +190,11 @@ def read_scene(folder: Path, label_map: LabelMap) -> Scene:
     return Scene(scene_id, vertices, faces, normals, labels, groups, segments, notes)
 
 
-def _read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices (n,3), metres, and triangles (f,3) of a scan, f ≥ 1."""
+def _read_mesh(
+    path: Path, names: tuple[str, ...] = ()
+) -> tuple[NDArray[np.float64], NDArray[np.int64], dict[str, NDArray]]:
+    """Vertices (n,3), metres, and triangles (f,3) of a scan, f ≥ 1; and of these properties of its
+    vertices those that ``read_with`` finds."""
     try:
         content = path.read_bytes()
         require_whole(content)
@@ -200,8 +203,8 @@ def _read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     except OSError as error:
         raise InputError(f"{path.name}: cannot be read: {error}") from error
     try:
-        polygons = read_ply(content)
-        return polygons.vertices, polygons.triangles()[0]
+        polygons, beside = read_with(content, names)
+        return polygons.vertices, polygons.triangles()[0], beside
     except Exception as error:  # a damaged file surfaces in the parser as almost anything
         raise InputError(f"{path.name}: damaged PLY ({error})") from error
 
@@ -252,11 +255,10 @@ def _labels_of_groups(
 
 def _read_labels(path: Path, vertices: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The file's own numbers, whatever they mean, and where (n,3) its vertices are, metres."""
-    places, _ = _read_mesh(path)
-    try:
-        numbers = read_vertices(path.read_bytes(), ("label",))["label"]
-    except InputError as error:
-        raise InputError(f"{path.name}: {error}") from error
+    places, _, beside = _read_mesh(path, ("label",))
+    if "label" not in beside:
+        raise InputError(f"{path.name}: its vertices have no property 'label' of one number")
+    numbers = beside["label"]
     with np.errstate(invalid="ignore"):  # what is not finite is no whole number either
         labels = numbers.astype(np.int64)
     if (broken := labels != numbers).any():
