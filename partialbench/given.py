@@ -66,6 +66,12 @@ def truth(value: Any, name: str) -> bool:
     return bool(value)
 
 
+def function(value: Any, name: str, arguments: str = "") -> None:
+    """Something to call, or None; ``arguments`` says in the error with what."""
+    if value is not None and not callable(value):
+        raise InputError(f"{name} must be something to call{arguments}, got {value!r}")
+
+
 def several(value: Several, name: str) -> list[Any]:
     """What was given, one or several, as a list; None is none. A text is one, not its letters."""
     if value is None:

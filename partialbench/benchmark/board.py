@@ -91,10 +91,7 @@ def leaderboard(
             f"{type(results).__name__}: a table is made from the stored predictions"
         )
     check, figures = given.truth(check, "check"), given.truth(figures, "figures")
-    if on_progress is not None and not callable(on_progress):
-        raise InputError(
-            f"on_progress must be something to call with (done, all), got {on_progress!r}"
-        )
+    given.function(on_progress, "on_progress", " with (done, all)")
     make = registry.load(registry.BOARD_FILES)
     tested = [given.path(one, "a data folder") for one in given.several(data, "data")]
     places = [given.path(one, "a folder") for one in given.several(look_in, "look_in")]

@@ -124,8 +124,7 @@ def run_eval(
     if checkpoint_every is not None:
         checkpoint_every = given.whole_number(checkpoint_every, "checkpoint_every", 1)
     restart = given.truth(restart, "restart")
-    if should_stop is not None and not callable(should_stop):
-        raise InputError(f"should_stop must be something to call, got {should_stop!r}")
+    given.function(should_stop, "should_stop")
     clouds = None if clouds is None else given.several(clouds, "clouds")
     tests = asked.read(data, test_data, test_grid, test_points, test_poses, test_damages)
     options = given.mapping(options, "options")

@@ -209,7 +209,7 @@ def render(
         if data_set.value == "ps15":
             grids.require_no_sensors(cells)
         for cell in cells:
-            require_camera_frame(cell.setting, depth_images=keep_depth, normals=normals)
+            require_camera_frame(cell.setting, keep_depth, normals)
         grids.write(out, cells)
     chosen: list[tuple[Path, str, str | None, float]] = [
         (out / cell.name, cell.setting, cell.sensor, cell.occluders) for cell in cells

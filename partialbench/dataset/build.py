@@ -61,11 +61,11 @@ class BuildPlan:
     def __post_init__(self) -> None:
         if self.job.setting not in SETTINGS:
             raise InputError(f"setting {self.job.setting!r} is not one of {', '.join(SETTINGS)}")
-        kept = {"depth_images": "keep_depth", "normals": "normals"}
+        occluder = self.job.occluder
         require_camera_frame(
             self.job.setting,
-            **{what: getattr(self.job.occluder, option, False) for what, option in kept.items()},
-        )
+            getattr(occluder, "keep_depth", False), getattr(occluder, "normals", False),
+        )  # fmt: skip
         for name, value in (
             ("points", self.job.points),
             ("rows_per_shard", self.rows_per_shard),

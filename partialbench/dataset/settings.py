@@ -41,16 +41,12 @@ def turns_of(name: str) -> str:
     return SETTINGS[name].turns if name in SETTINGS else "so3"
 
 
-def require_camera_frame(name: str, **beside: bool) -> None:
-    """Raises ``InputError`` where a setting moves clouds out of the frame of what is to be kept.
-
-    Args:
-        name: of ``SETTINGS``.
-        beside: what is to be kept beside the points ("depth_images", "normals"), and whether it is.
-    """
+def require_camera_frame(name: str, depth_images: bool, normals: bool) -> None:
+    """Raises ``InputError`` where a setting moves clouds out of the frame of what is to be kept
+    beside the points. ``name``: of ``SETTINGS``."""
     setting = SETTINGS[name]
-    for what in (what.replace("_", " ") for what, kept in beside.items() if kept):
-        if not setting.whole and setting.turns != "so3":
+    for what, kept in (("depth images", depth_images), ("normals", normals)):
+        if kept and not setting.whole and setting.turns != "so3":
             raise InputError(
                 f"the setting {name!r} moves clouds out of their camera's frame, to which {what} "
                 f"belong; render the setting 'partial' with them"

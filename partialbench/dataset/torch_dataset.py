@@ -86,10 +86,7 @@ class TorchDataset(Dataset[Any]):
         for field in fields:
             if field not in FIELDS:
                 raise InputError(f"no field {field!r}{registry.close_matches(field, FIELDS)}")
-        if transform is not None and not callable(transform):
-            raise InputError(
-                f"transform must be something to call with a sample, got {transform!r}"
-            )
+        given.function(transform, "transform", " with a sample")
         folder = given.path(folder, "the data folder")
         if num_points is None:
             num_points = int(manifests.load(folder).configuration["points"])

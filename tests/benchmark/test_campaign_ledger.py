@@ -23,6 +23,7 @@ from partialbench.benchmark.training.train import DivergedError
 from partialbench.errors import InputError
 from tests.benchmark.memory_clouds import data_folder
 from tests.benchmark.tiny_models import MODELS
+from tests.leaderboard.records import forge_file
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -100,18 +101,14 @@ def test_what_a_killed_campaign_left_is_not_running(campaign, host, process, age
 def test_a_record_without_the_precision_of_its_training_is_of_a_full_one(campaign, in_this_process):
     running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
     (path,) = campaign.results.glob(f"*{results.SUFFIX}")
-    record = json.loads(path.read_text())
-    del record["training"]["environment"]["precision"]
-    path.write_text(json.dumps({**record, "record_sha256": results.record_digest(record)}))
+    forge_file(path, lambda record: record["training"]["environment"].pop("precision"))
     assert [job.clouds for job in status(campaign).done] == [32]
 
 
 def test_a_record_whose_recipe_has_its_notes_in_other_words_counts(campaign, in_this_process):
     running.run(campaign, jobs=1, only=["*Bare"], up_to=32)
     (path,) = campaign.results.glob(f"*{results.SUFFIX}")
-    record = json.loads(path.read_text())
-    record["recipe"]["notes"] = "Said otherwise before."
-    path.write_text(json.dumps({**record, "record_sha256": results.record_digest(record)}))
+    forge_file(path, lambda record: record["recipe"].update(notes="Said otherwise before."))
     assert [job.clouds for job in status(campaign).done] == [32]
 
 

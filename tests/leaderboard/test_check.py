@@ -24,7 +24,7 @@ from partialbench.benchmark.records.results import PREDICTIONS_SUFFIX, SUFFIX
 from partialbench.benchmark.testing import metrics
 from partialbench.benchmark.testing.run import _card_as_dict
 from partialbench.errors import InputError
-from tests.leaderboard.records import CLASSES, add, predictions, record
+from tests.leaderboard.records import CLASSES, add, forge_file, predictions, record
 
 MODEL = "pointnet"
 
@@ -61,12 +61,8 @@ def first(folder):
 
 
 def forge(folder, change):
-    """A record changed by one who mends its digest."""
-    path = first(folder)
-    text = json.loads(path.read_text())
-    change(text)
-    text["record_sha256"] = results.record_digest(text)
-    path.write_text(json.dumps(text))
+    """``forge_file`` of the first record."""
+    forge_file(first(folder), change)
 
 
 def forge_predictions(folder, change):
@@ -202,20 +198,14 @@ def test_one_training_does_not_count_as_two_seeds(tmp_path):
     honest(tmp_path, 0)
     path = honest(tmp_path, 1)
     weights = results.read(sorted(tmp_path.glob(f"*seed0*{SUFFIX}"))[0]).weights_sha256
-    text = json.loads(path.read_text())
-    text["weights_sha256"] = weights
-    text["record_sha256"] = results.record_digest(text)
-    path.write_text(json.dumps(text))
+    forge_file(path, lambda text: text.update(weights_sha256=weights))
     assert "have the same weights under the seeds 1 and 0" in found(tmp_path)
 
 
 def test_one_training_does_not_count_as_two_milestones(tmp_path):
     weights = results.read(honest(tmp_path, 0)).weights_sha256
     path = honest(tmp_path, 0, milestone=200_000)
-    text = json.loads(path.read_text())
-    text["weights_sha256"] = weights
-    text["record_sha256"] = results.record_digest(text)
-    path.write_text(json.dumps(text))
+    forge_file(path, lambda text: text.update(weights_sha256=weights))
     assert "have the same weights under the milestones 200k and 100k" in found(tmp_path)
 
 

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor, nn
 
 from partialbench.benchmark import models
-from partialbench.benchmark.clouds import Clouds
 from partialbench.benchmark.testing import evaluate
 from partialbench.benchmark.training import checkpoint, seeds
 from partialbench.benchmark.training.train import Task
@@ -67,8 +66,8 @@ def require_made_again(
         made = checkpoint.build_model(content, task.model).to(device)
     for what, before, after in zip(
         ("class logits", "pose logits"),
-        _answers(trained, task.dataset, task, device),
-        _answers(made, task.dataset, task, device),
+        _answers(trained, task, device),
+        _answers(made, task, device),
         strict=True,
     ):
         if before is None or after is None:
@@ -87,10 +86,10 @@ def require_made_again(
 
 
 def _answers(
-    model: nn.Module, clouds: Clouds, task: Task, device: torch.device | str
+    model: nn.Module, task: Task, device: torch.device | str
 ) -> tuple[Tensor, Tensor | None]:
-    rows, classes = task.train_rows[:CLOUDS], len(clouds.class_names)
-    ((_, answer),) = evaluate.run_model(model, clouds, rows, classes, device)
+    rows, classes = task.train_rows[:CLOUDS], len(task.dataset.class_names)
+    ((_, answer),) = evaluate.run_model(model, task.dataset, rows, classes, device)
     poses = answer.pose_logits
     return _centred(answer.class_logits), None if poses is None else _centred(poses)
 
