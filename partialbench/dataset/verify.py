@@ -2,8 +2,9 @@
 
 Checked for every row: file digests, schema, row digests, finiteness, R ∈ SO(3), ranges, counts,
 uniqueness; that the cloud lies inside the unit ball when brought back to the object frame; that it
-projects into its image. For a sample of rows, where the source is at hand: that the points, brought
-back, lie on the source's surface and have its normals (``surface_check``).
+projects into its image, and onto its own depth where that is stored (``depth_check``). For a sample
+of rows, where the source is at hand: that the points, brought back, lie on the source's surface and
+have its normals (``surface_check``).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from partialbench.dataset import manifest as manifests
 from partialbench.dataset import objects as tables
 from partialbench.dataset.card import NAME as CARD
+from partialbench.dataset.depth_check import image_problems
 from partialbench.dataset.manifest import Manifest, ShardEntry
 from partialbench.dataset.schema import DIGESTED, FIELDS
 from partialbench.dataset.shards import (
@@ -219,7 +221,9 @@ def _read_and_check(
                 f.name: file[f.name][()] for f in FIELDS if f.name in file and f.name != "depth"
             }
             if "depth" in file:
-                report.problems += [f"{entry.file}: {p}" for p in _image_problems(file["depth"])]
+                report.problems += [
+                    f"{entry.file}: {p}" for p in image_problems(file["depth"], columns)
+                ]
             if "configuration_digest" not in file.attrs:
                 problem("does not say which configuration it was made with")
                 return None
@@ -284,18 +288,6 @@ def _schema_problems(file: h5py.File, manifest: Manifest, entry: ShardEntry) -> 
         if dtype != f.dtype:
             problems.append(f"{f.name!r} has dtype {dtype}, expected {f.dtype}")
     return problems
-
-
-def _image_problems(images: h5py.Dataset) -> list[str]:
-    """What is wrong with a shard's depth images, one at a time: together they may fill a memory."""
-    bad = [row for row in range(len(images)) if not _is_depth(images[row])]
-    if not bad:
-        return []
-    return [f"depth is not finite and ≥ 0 in {len(bad)} row(s), the first is row {bad[0]}"]
-
-
-def _is_depth(image: NDArray) -> bool:
-    return bool((np.isfinite(image) & (image >= 0)).all())
 
 
 def _is_text(name: bytes) -> bool:

@@ -1,6 +1,7 @@
 """``verify`` passes a sound folder and names each kind of damage."""
 
 import json
+import shutil
 
 import h5py
 import numpy as np
@@ -15,6 +16,7 @@ from partialbench.dataset.sources import OrientedCloud
 from partialbench.dataset.surface_check import normal_angles_deg, surface_distance
 from partialbench.dataset.verify import verify
 from partialbench.errors import InputError
+from renderers.mitsuba_depth import MitsubaOccluder
 from tests.dataset.toy import ToyOccluder, ToySource, plan
 
 
@@ -188,3 +190,53 @@ def test_normals_of_another_surface_are_found(occluder, problems, tmp_path):
     report = verify(tmp_path, ToySource())
     assert len(report.problems) == problems
     assert all("normals are turned from the source's" in p for p in report.problems)
+
+
+@pytest.fixture(scope="module")
+def with_depth(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("depth")
+    occluder = MitsubaOccluder(48, keep_depth=True)
+    build(plan(folder, occluder=occluder, source=ToySource(2)), InlineExecutor)
+    assert verify(folder, ToySource(2)).problems == []
+    return folder
+
+
+def swap_rows(images):
+    images[[0, 1]] = images[[1, 0]]
+
+
+def erase(images):
+    images[:] = 0
+
+
+def shift(images):
+    images[:] = np.roll(images, 1, axis=2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (swap_rows, "it has another depth where they project to in 2 row"),
+        (erase, "another number of pixels than n_visible in 6 row"),
+        (shift, "it has another depth where they project to in 6 row"),
+        (lambda images: images.fill(np.nan), "depth is not finite and ≥ 0 in 6 row"),
+    ],
+)
+def test_depth_images_that_are_not_those_of_the_points_are_found(
+    with_depth, tmp_path, change, message
+):
+    folder = shutil.copytree(with_depth, tmp_path / "copy")
+
+    def edit(shard):
+        images = shard["depth"][()]
+        change(images)
+        shard["depth"][...] = images
+
+    forge(folder, "train-00000.h5", edit)
+    problems = verify(folder).problems
+    assert any(message in p for p in problems), problems
+
+
+def test_depth_of_points_that_no_image_was_formed_of_is_found(tmp_path):
+    build(plan(tmp_path, occluder=ToyOccluder(depth=8)), InlineExecutor)
+    assert any("that no image can be of" in p for p in verify(tmp_path).problems)
