@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from partialbench.dataset.gallery import gallery as show
     from partialbench.dataset.loader import ShardDataset
     from partialbench.dataset.render import render_dataset
+    from partialbench.dataset.render_grid import render_grid
     from partialbench.dataset.sources import View
     from partialbench.dataset.torch_dataset import TorchDataset, load_dataset
     from partialbench.dataset.view import render_view
@@ -50,6 +51,7 @@ _WHERE = {
     "View": "partialbench.dataset.sources:View",
     "look_at": "partialbench.geometry.camera:look_at",
     "render_dataset": "partialbench.dataset.render:render_dataset",
+    "render_grid": "partialbench.dataset.render_grid:render_grid",
     "show": "partialbench.dataset.gallery:gallery",
     "Gallery": "partialbench.dataset.gallery:Gallery",
     "list_models": "partialbench.registry:list_models",
@@ -68,8 +70,9 @@ _WHERE = {
 
 __all__ = [  # noqa: RUF022 - in the order of the data
     "load_dataset", "TorchDataset", "ShardDataset", "render_view", "View", "look_at",
-    "render_dataset", "show", "Gallery", "list_models", "model_info", "create_model", "load_model",
-    "Classifier", "Answer", "evaluate", "leaderboard", "Board", "InputError", "PartialbenchError",
+    "render_dataset", "render_grid", "show", "Gallery", "list_models", "model_info", "create_model",
+    "load_model", "Classifier", "Answer", "evaluate", "leaderboard", "Board", "InputError",
+    "PartialbenchError",
 ]  # fmt: skip
 
 

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from partialbench import arguments
 from partialbench.cli.verbs import Verbs
 from partialbench.console import Json, continued_by, given, print_result, stderr
-from partialbench.dataset.settings import SETTINGS, require_camera_frame
+from partialbench.dataset.settings import SETTINGS
 from partialbench.errors import InputError, PartialbenchError
-
-if TYPE_CHECKING:
-    from partialbench.dataset.grid import Cell
 
 commands = Verbs("Data")
 
@@ -195,7 +191,8 @@ def render(
     """Turn shapes into pose-labelled partial clouds. Run again, it continues where it stopped."""
     from partialbench.dataset import grid as grids
     from partialbench.dataset.executors import process_pool
-    from partialbench.dataset.render import render_dataset
+    from partialbench.dataset.render import plan_render, run_plan
+    from partialbench.dataset.render_grid import plan_grid
     from partialbench.progress import build_bar, counting_bar
 
     workers = workers or os.cpu_count() or 1
@@ -203,62 +200,44 @@ def render(
         raise InputError(
             "--grid has --setting, --sensor and --occluders as its axes: give them in its file"
         )
-    cells = [] if grid is None else grids.load(grid)
-    if cells:
-        # What is wrong of one cell is said before another is rendered.
-        if data_set.value == "ps15":
-            grids.require_no_sensors(cells)
-        for cell in cells:
-            require_camera_frame(cell.setting, keep_depth, normals)
-        grids.write(out, cells)
-    chosen: list[tuple[Path, str, str | None, float]] = [
-        (out / cell.name, cell.setting, cell.sensor, cell.occluders) for cell in cells
-    ]
+    options: dict[str, Any] = dict(
+        source=source,
+        source_options=given(
+            aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
+            scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
+            split_file=split_file or None, label_map=label_map, labels=labels,
+            rules=arguments.pairs(rule) or None,
+        ),
+        occluder_options=given(
+            resolution=resolution, camera=camera and arguments.camera(camera), variant=variant,
+            occluders=occluders or None, keep_depth=keep_depth or None, radius=radius, gamma=gamma,
+        ),
+        views=views, objects_per_class=objects_per_class, points=points, min_visible=min_visible,
+        normals=normals, seed=seed, rows_per_shard=rows_per_shard, workers=workers,
+        on_room=counting_bar(stderr, "simulate rooms"), on_scene=counting_bar(stderr, "read scans"),
+        **given(splits=split or None),
+    )  # fmt: skip
+    with continued_by("the same command"):
+        if grid is None:
+            name = data_set.value
+            plans = [plan_render(name, out, setting=setting.value, sensor=sensor, **options)]
+        else:
+            cells = grids.load(grid)
+            plans = [*plan_grid(data_set.value, out, cells, **options).values()]
+            grids.write(out, cells)
+    if words := getattr(plans[0].job.source, "listing", ""):
+        say_source(words)
     broken = []
-    for folder, its_setting, its_sensor, its_occluders in chosen or [
-        (out, setting.value, sensor, occluders)
-    ]:
-        made, listed = counting_bar(stderr, "simulate rooms"), counting_bar(stderr, "read scans")
+    for plan in plans:
         with continued_by("the same command"), build_bar(stderr) as on_progress:
-            manifest = render_dataset(
-                source,
-                folder,
-                data_set=data_set.value,
-                source_options=given(
-                    aligned=aligned or None, up=up, counts=counts and arguments.counts(counts),
-                    scannet=scannet, scan2cad=scan2cad, rooms=rooms, viewpoints=viewpoints,
-                    split_file=split_file or None, label_map=label_map, labels=labels,
-                    rules=arguments.pairs(rule) or None,
-                ),
-                occluder_options=_of_setting(
-                    its_setting, cells, resolution=resolution,
-                    camera=camera and arguments.camera(camera), variant=variant,
-                    occluders=its_occluders or None, keep_depth=keep_depth or None, radius=radius,
-                    gamma=gamma,
-                ),
-                sensor=None if cells and its_sensor == "ideal" else its_sensor,
-                workers=workers,
-                scheduler=scheduler,
+            manifest = run_plan(
+                plan, workers=workers, scheduler=scheduler, on_progress=on_progress,
                 # One worker too is a process of its own: a crash in it ends no run.
-                make_executor=partial(process_pool, workers),
-                on_room=made,
-                on_scene=listed,
-                on_listing=say_source,
-                on_progress=on_progress,
-                setting=its_setting,
-                views=views,
-                splits=tuple(split) if split else ("test",) if cells else None,
-                objects_per_class=objects_per_class,
-                points=points,
-                min_visible=min_visible,
-                normals=normals,
-                seed=seed,
-                rows_per_shard=rows_per_shard,
-                retry_failed=retry_failed,
+                make_executor=partial(process_pool, workers), retry_failed=retry_failed,
             )  # fmt: skip
-        _tell(folder, manifest, as_json)
+        _tell(plan.out, manifest, as_json)
         if any(f["kind"] == "failed" for f in manifest.failures):
-            broken.append((folder, manifest))
+            broken.append((plan.out, manifest))
     if broken and not allow_failures:
         folder, manifest = broken[0]
         failed = sum(f["kind"] == "failed" for f in manifest.failures)
@@ -267,13 +246,6 @@ def render(
             f"reasons. The rest is complete: accept that with --allow-failures, or mend them and "
             f"{_then(manifest)}"
         )
-
-
-def _of_setting(setting: str, cells: Sequence[Cell], **options: Any) -> dict[str, Any]:
-    """The occluder's options that are given. To complete clouds none applies, and of a grid they
-    are for the cells of one view, where it has any."""
-    for_others = any(not SETTINGS[cell.setting].whole for cell in cells)
-    return {} if for_others and SETTINGS[setting].whole else given(**options)
 
 
 def _tell(folder: Path, manifest: Any, as_json: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -74,66 +75,131 @@ def plan_render(
         InputError: unknown names (with close matches), a path that is no source, or numbers out of
             range.
     """
+    # What can be wrong of the numbers is said before a source is listed or simulated.
+    asked = Asked(
+        setting, views, splits, objects_per_class, points, min_visible, normals, seed, sensor,
+        rows_per_shard, given.mapping(occluder_options, "occluder_options"),
+    )  # fmt: skip
+    opened = open_source(data_set, source, source_options, asked, workers, on_room, on_scene)
+    return plan_of(opened, asked, out)
+
+
+@dataclass
+class Asked:
+    """How objects are seen and what is stored of them, checked: see ``plan_render``."""
+
+    setting: str = "partial"
+    views: int | None = None
+    splits: str | Sequence[str] | None = None
+    objects_per_class: int | None = None
+    points: int = 2048
+    min_visible: int | None = None
+    normals: bool = False
+    seed: int = 0
+    sensor: str | None = None
+    rows_per_shard: int = 1000
+    occluder_options: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("points", "rows_per_shard"):
+            setattr(self, name, given.whole_number(getattr(self, name), name, 1))
+        self.seed = given.whole_number(self.seed, "seed")
+        self.normals = given.truth(self.normals, "normals")
+        for name in ("views", "objects_per_class", "min_visible"):
+            if (value := getattr(self, name)) is not None:
+                setattr(self, name, given.whole_number(value, name, 1))
+
+    @property
+    def whole(self) -> bool:
+        """Whether complete clouds are asked for."""
+        return self.setting in SETTINGS and SETTINGS[self.setting].whole
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A source that is listed, and what is made of it.
+
+    Attributes:
+        name: as it was asked for: "rooms", "scannet", or a path.
+        occluder: the name of what says which points are seen from one side.
+        rules: thresholds of scans that were given.
+    """
+
+    source: Source
+    name: str
+    data_set: str
+    dataset_id: str
+    occluder: str
+    rules: dict[str, Any] | None = None
+
+
+def open_source(
+    data_set: str,
+    source: str | None,
+    source_options: dict[str, Any] | None,
+    asked: Asked,
+    workers: int = 1,
+    on_room: Callable[[int, int], None] | None = None,
+    on_scene: Callable[[int, int], None] | None = None,
+) -> Opened:
+    """Lists a source, or simulates it; of the arguments of ``plan_render``, those that say how."""
     if data_set not in DEFAULT_SOURCE:
         raise InputError(
             f"no data set {data_set!r}{registry.close_matches(data_set, DEFAULT_SOURCE)}"
         )
-    points = given.whole_number(points, "points", 1)
-    rows_per_shard = given.whole_number(rows_per_shard, "rows_per_shard", 1)
-    seed = given.whole_number(seed, "seed")
-    normals = given.truth(normals, "normals")
-    views, objects_per_class, min_visible = (
-        value if value is None else given.whole_number(value, name, 1)
-        for name, value in (
-            ("views", views), ("objects_per_class", objects_per_class),
-            ("min_visible", min_visible),
-        )
-    )  # fmt: skip
     of_source = given.mapping(source_options, "source_options")
-    if data_set == "ps15" and min_visible is not None:
+    if data_set == "ps15" and asked.min_visible is not None:
         # One of the rules by which scans are judged.
-        rules = of_source.get("rules") or {}
-        if (ruled := rules.get("min_visible", min_visible)) != min_visible:
+        rules, least = of_source.get("rules") or {}, asked.min_visible
+        if (ruled := rules.get("min_visible", least)) != least:
             raise InputError(
-                f"min_visible is {min_visible} and the rule min_visible is {ruled!r}: they are one "
+                f"min_visible is {least} and the rule min_visible is {ruled!r}: they are one "
                 f"threshold of scans; give one of them"
             )
-        of_source["rules"] = {**rules, "min_visible": min_visible}
+        of_source["rules"] = {**rules, "min_visible": least}
     if source is None:
         source = "scannet" if "scannet" in of_source else DEFAULT_SOURCE[data_set]
     # One seed is behind everything that is generated; a scanned room was seen by its own sensor.
     if source == "parametric":
-        of_source["seed"] = seed
+        of_source["seed"] = asked.seed
     elif source == "rooms":
-        of_source |= {"seed": seed, "workers": workers}
+        of_source |= {"seed": asked.seed, "workers": workers}
         of_source |= {"on_progress": on_room, "on_scene": on_scene}
-        of_source |= {"sensor": sensor} if sensor else {}
+        of_source |= {"sensor": asked.sensor} if asked.sensor else {}
     elif source == "scannet":
         of_source |= {"workers": workers, "on_scene": on_scene}
     shapes: Source = registry.load(registry.OPEN_SOURCE)(source, **of_source)
-    dataset_id, occluder_name = _makes(shapes, source, data_set)
-    if setting in SETTINGS and SETTINGS[setting].whole:
-        occluder_name = "whole"
-    chosen = _chosen_splits(splits, shapes)
-    options = given.mapping(occluder_options, "occluder_options")
-    if occluder_name == "scan-hpr" and "rules" in of_source:
-        options["rules"] = of_source["rules"]
-    if sensor and source != "rooms":
-        options["sensor"] = sensor
-    if occluder_name == "whole":
-        options["samples"] = points
-    if normals:
+    dataset_id, occluder = _makes(shapes, source, data_set)
+    return Opened(shapes, source, data_set, dataset_id, occluder, of_source.get("rules"))
+
+
+def plan_of(opened: Opened, asked: Asked, out: Path) -> BuildPlan:
+    """What is made of an opened source."""
+    chosen = _chosen_splits(asked.splits, opened.source)
+    occluder_name, options = opened.occluder, dict(asked.occluder_options)
+    if asked.whole:
+        occluder_name, options["samples"] = "whole", asked.points
+    if occluder_name == "scan-hpr" and opened.rules is not None:
+        options["rules"] = opened.rules
+    if asked.sensor and opened.name != "rooms":
+        options["sensor"] = asked.sensor
+    if asked.normals:
         options["normals"] = True
     occluder = _make_occluder(occluder_name, options)
-    least = getattr(occluder, "min_visible", LEAST_VISIBLE if min_visible is None else min_visible)
-    per_split = _views_per_split(data_set, views, chosen)
+    least = LEAST_VISIBLE if asked.min_visible is None else asked.min_visible
+    least = getattr(occluder, "min_visible", least)
+    per_split = _views_per_split(opened.data_set, asked.views, chosen)
+    most = asked.objects_per_class
     return BuildPlan(
-        Job(shapes, occluder, dataset_id, setting, per_split, points, seed, least),
+        Job(
+            opened.source, occluder, opened.dataset_id, asked.setting, per_split, asked.points,
+            asked.seed, least,
+        ),
         Path(out),
         chosen,
-        None if objects_per_class is None else dict.fromkeys(chosen, objects_per_class),
-        rows_per_shard,
-    )
+        None if most is None else dict.fromkeys(chosen, most),
+        asked.rows_per_shard,
+    )  # fmt: skip
 
 
 def _makes(shapes: Source, source: str, data_set: str) -> tuple[str, str]:
@@ -221,6 +287,23 @@ def render_dataset(
     workers = given.whole_number(workers, "workers", 1)
     out = given.path(out, "the data folder")
     plan = plan_render(data_set, out, source=place, workers=workers, **options)
+    return run_plan(
+        plan, workers=workers, scheduler=scheduler, make_executor=make_executor,
+        on_listing=on_listing, on_progress=on_progress, retry_failed=retry_failed,
+    )  # fmt: skip
+
+
+def run_plan(
+    plan: BuildPlan,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    make_executor: Callable[[], Executor] | None = None,
+    on_listing: Callable[[str], None] | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    retry_failed: bool = False,
+) -> Manifest:
+    """Makes what a plan says: the second half of ``render_dataset``, which has the arguments."""
     if on_listing and (words := getattr(plan.job.source, "listing", "")):
         on_listing(words)
     if scheduler is not None:

@@ -7,8 +7,10 @@ import shutil
 
 import numpy as np
 import pytest
+import trimesh
 from typer.testing import CliRunner
 
+import partialbench as pb
 from partialbench.benchmark.run import run_eval
 from partialbench.cli import app
 from partialbench.dataset import grid
@@ -155,6 +157,48 @@ def test_what_a_cell_does_not_take_is_said_before_any_is_rendered(
     assert done.exit_code == 1
     assert words in str(done.exception)
     assert not list(out.glob("*/*.h5"))
+
+
+def test_a_sensor_that_the_source_does_not_take_is_said_before_any_cell_is_rendered(tmp_path):
+    points = np.random.default_rng(0).normal(size=(64, 3))
+    for split in ("train", "test"):
+        (tmp_path / "clouds" / "cup" / split).mkdir(parents=True)
+        np.savetxt(tmp_path / "clouds" / "cup" / split / f"{split}.xyz", points)
+    with pytest.raises(InputError, match="cell so3_one-view_tof_0 of the grid: sensor='tof' does"):
+        pb.render_grid(tmp_path / "clouds", tmp_path / "out", {"sensor": ["ideal", "tof"]})
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"setting": "rotated"}, "setting is an axis of a grid: give it there"),
+        ({"occluder_options": {"occluders": 0.2}}, "occluders is an axis of a grid"),
+        ({"pionts": 64}, "a grid has no option 'pionts'; did you mean points"),
+        ({"data_set": "pm4"}, "no data set 'pm4'; did you mean pm40"),
+        ({"points": 0}, "points must be at least 1, got 0"),
+    ],
+)
+def test_wrong_options_of_a_grid_make_no_folder(tmp_path, options, words):
+    with pytest.raises(InputError, match=words):
+        pb.render_grid(None, tmp_path / "out", {}, **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_source_of_a_grid_is_listed_once(tmp_path):
+    folder = tmp_path / "cad" / "box" / "test"
+    folder.mkdir(parents=True)
+    for i in range(2):
+        trimesh.creation.box((1, 2, 3 + i)).export(folder / f"{i}.off")
+    listings: list[str] = []
+    made = pb.render_grid(
+        tmp_path / "cad", tmp_path / "out", {"rotation": ["z", "so3"], "occluders": [0, 0.3]},
+        points=32, occluder_options={"resolution": 16}, on_listing=listings.append,
+    )  # fmt: skip
+    assert [manifest.splits() for manifest in made.values()] == [["test"]] * 4
+    assert list(made) == [cell.name for cell in grid.read(tmp_path / "out")]
+    assert len(listings) == 1
+    grid.require_cells(tmp_path / "out", made)
 
 
 def test_a_grid_is_rendered_and_tested(tmp_path):
