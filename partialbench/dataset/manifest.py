@@ -144,9 +144,15 @@ def load(folder: Path) -> Manifest:
     if Path(folder).is_file():
         raise InputError(f"{folder} is a file, expected a data folder, which has a {NAME}")
     if not path.is_file():
+        inside = sorted(other.parent.name for other in Path(folder).glob(f"*/{NAME}"))
+        more = f" and {len(inside) - 3} more" if len(inside) > 3 else ""
         raise InputError(
-            f"{folder} is not a data folder: it has no {NAME}. Make one with "
-            f"'partialbench render pm40 --out {folder}'"
+            f"{folder} is not a data folder: it has no {NAME}. "
+            + (
+                f"Folders in it are: give {', '.join(inside[:3])}{more}"
+                if inside
+                else f"Make one with 'partialbench render pm40 --out {folder}'"
+            )
         )
     try:
         data = json.loads(path.read_text("utf-8"))

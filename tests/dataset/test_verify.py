@@ -240,3 +240,10 @@ def test_depth_images_that_are_not_those_of_the_points_are_found(
 def test_depth_of_points_that_no_image_was_formed_of_is_found(tmp_path):
     build(plan(tmp_path, occluder=ToyOccluder(depth=8)), InlineExecutor)
     assert any("that no image can be of" in p for p in verify(tmp_path).problems)
+
+
+def test_of_a_folder_of_data_folders_those_are_named(tmp_path):
+    for name in "abcd":
+        build(plan(tmp_path / name), InlineExecutor)
+    with pytest.raises(InputError, match=r"Folders in it are: give a, b, c and 1 more$"):
+        verify(tmp_path)
