@@ -87,6 +87,27 @@ def test_the_command_makes_the_row_again():
     )
 
 
+def test_the_command_names_the_row_s_seeds_its_two_settings_and_its_own_recipe():
+    stored = predictions(0.9, 0)
+    first = record("pointnet", stored)
+    seeds = tuple(dataclasses.replace(first, seed=seed) for seed in (0, 1, 4, 7, 8))
+    start = "partialbench eval --model pointnet --data data/pm40-parametric --preset board"
+    assert reproduce(seeds).splitlines() == [
+        f"{start} --clouds 100k{run}"
+        for run in (" --seeds 2", " --first-seed 4", " --seeds 2 --first-seed 7")
+    ]
+    # Trained on complete clouds, tested on partial ones of the same data set.
+    whole = dataclasses.replace(first.train_data, setting="rotated")
+    assert reproduce((dataclasses.replace(first, train_data=whole),)) == (
+        "partialbench eval --model pointnet --data data/pm40-parametric-rotated --test-data "
+        "data/pm40-parametric-partial --preset board --clouds 100k"
+    )
+    options = {"f": "a; recipe lr=1; precision x"}
+    (written,) = (f"{name}={json.dumps(value)}" for name, value in options.items())
+    made = record("pointnet", stored, options=options, variant=f"{written}; recipe lr=0.002")
+    assert reproduce((made,)) == f"{start} --clouds 100k --option '{written}' --recipe lr=0.002"
+
+
 def test_a_power_law_is_found_again_and_told_with_its_interval():
     clouds = (25_000, 50_000, 100_000, 200_000)
     exact = [scaling.Seen(n, 1 - 3 * n**-0.25, 0, 0) for n in clouds]
@@ -206,6 +227,11 @@ def test_what_accuracy_costs_is_one_sentence(tmp_path):
     assert told.startswith("BEST, the most accurate, takes 4.0 M multiply-adds a cloud; ")
     assert "the cheapest, IT, 2.0 M multiply-adds at " in told
     assert told.endswith("Of the 2 others 1 cost more than the first.")
+    assert facts.cost(found[:2]) == [
+        "BEST, the most accurate, takes 4.0 M multiply-adds a cloud; LIGHTER 7.0 M multiply-adds."
+    ]
+    (told,) = facts.cost([found[0], found[2]])
+    assert told.endswith("; the cheapest, IT, 2.0 M multiply-adds at 31.0 %.")
     assert facts.cost(found[:1]) == []
 
 
