@@ -18,7 +18,9 @@ const s = (tag, attributes, ...children) => fill(document.createElementNS(SVG, t
 
 const dash = "–";
 const percent = share => (share === null || share === undefined ? dash : (100 * share).toFixed(1).replace("-", "−"));
-const range = (low, high) => (low === null ? "" : `${percent(low)} – ${percent(high)}`);
+const range = (low, high) => `${percent(low)} – ${percent(high)}`;
+// An interval in brackets; nothing where there is none.
+const bracketed = (low, high) => (low === null ? "" : ` (${range(low, high)})`);
 const thousands = number => number.toLocaleString("en-US");
 const engineering = count => {
   for (const [unit, size] of [["G", 1e9], ["M", 1e6], ["k", 1e3]]) {
@@ -32,6 +34,7 @@ const tip = document.getElementById("tip");
 function showTip(target, text) {
   tip.textContent = text;
   tip.hidden = false;
+  if (target.matches("button")) target.setAttribute("aria-describedby", "tip");  // read out where it has the focus
   const box = target.getBoundingClientRect();
   tip.style.left = `${Math.max(8, Math.min(box.left, innerWidth - tip.offsetWidth - 8))}px`;
   const below = box.bottom + 6;
@@ -40,6 +43,10 @@ function showTip(target, text) {
 const hideTip = () => { tip.hidden = true; };
 addEventListener("keydown", event => { if (event.key === "Escape") hideTip(); });
 addEventListener("scroll", hideTip, { passive: true, capture: true });
+
+// What has changed, for those who do not see it.
+const said = document.getElementById("said");
+const say = text => { said.textContent = text; };
 
 const explained = (text, label) => h("button", {
   type: "button", class: "help", "aria-label": `what ${label} means`,

@@ -118,7 +118,8 @@ def _behind(best: str, name: str, comparison: Comparison) -> list[float | None] 
 
 
 def _details(column: Column, cell: Cell, folder: Path) -> dict[str, Any]:
-    first, training = cell.results[0], cell.results[-1].training
+    # One seed's, whose minutes the row's line has too: two may have run on two machines.
+    first, training = cell.results[0], cell.results[0].training
     tested = [counted(result, folder) for result in cell.results]
     environments = [*training.get("earlier_environments", []), training["environment"]]
     return {
@@ -130,12 +131,14 @@ def _details(column: Column, cell: Cell, folder: Path) -> dict[str, Any]:
         "ensemble": _mean_curve([r.scores["ensemble"] for r in cell.results]),
         "top_k": _mean_curve([(r.scores["pose"] or {}).get("top_k") for r in cell.results]),
         "log": {
-            title: _thinned(training["curve"][key])
+            title: _log(training, key)
             for key, title in (("train_loss", "training loss"),
                                ("validation_accuracy", "validation accuracy"))
         },
         "training": {
+            "seed": first.seed,
             "clouds": training["clouds_seen"],
+            "minutes": _short(training["seconds"] / 60),
             "per_second": round(training["clouds_per_second"]),
             "device": ", then ".join(
                 dict.fromkeys(f"{place['device']} ({place['cpu']})" for place in environments)
@@ -180,11 +183,18 @@ def _mean_curve(seeds: list[Any]) -> list[float | None]:
     return [_short(float(v)) for v in np.mean(seeds, axis=0)] if all(seeds) else []
 
 
-def _thinned(values: list[float | None]) -> list[float | None]:
-    """At most ``LOG_POINTS`` of them, evenly spaced, the first and the last among them."""
+def _log(training: dict[str, Any], key: str) -> list[list[float | None]]:
+    """[clouds seen, value] of at most ``LOG_POINTS`` lines, the first and the last among them.
+
+    Lines are as far apart as the training wrote them: a branch writes more of them. Where a record
+    does not say at how many clouds, they are the ends of its epochs, which are equally long.
+    """
+    curve, values = training["curve"], training["curve"][key]
+    ends = np.linspace(0, training["clouds_seen"], len(values) + 1)[1:].tolist()
+    clouds = curve.get("clouds_seen", ends)
     chosen = np.unique(np.linspace(0, len(values) - 1, min(LOG_POINTS, len(values))).round())
-    kept = [values[int(i)] for i in chosen]
-    return [] if None in kept else [_short(value) for value in kept]
+    kept = [[clouds[int(i)], _short(values[int(i)])] for i in chosen]
+    return [] if any(value is None for _, value in kept) else kept
 
 
 def _short(value: float | None) -> float | None:

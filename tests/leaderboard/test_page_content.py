@@ -108,6 +108,32 @@ def test_the_command_names_the_row_s_seeds_its_two_settings_and_its_own_recipe()
     assert reproduce((made,)) == f"{start} --clouds 100k --option '{written}' --recipe lr=0.002"
 
 
+def test_a_training_is_told_of_one_seed_and_its_log_at_the_clouds_it_was_written(tmp_path):
+    stored = predictions(0.7, 0)
+    for seed, seconds in ((3, 600.0), (4, 60.0)):
+        made = record("one", stored, seed)
+        clouds = made.training["clouds_seen"]
+        training = {
+            **made.training, "seconds": seconds, "clouds_per_second": clouds / seconds,
+            "curve": {"clouds_seen": [8 * clouds // 10, 9 * clouds // 10, clouds],
+                      "train_loss": [2.0, 1.0, 0.5], "validation_accuracy": [None, None, 0.7]},
+        }  # fmt: skip
+        results.write(tmp_path, dataclasses.replace(made, training=training), stored)
+    column = column_of(tmp_path)
+    (row,) = rows.rows_of(column, compare(column, tmp_path), tmp_path)
+    told, log = row["more"]["training"], row["more"]["log"]
+    assert (told["seed"], told["minutes"], told["seeds"]) == (3, 10, [3, 4])
+    assert told["per_second"] == pytest.approx(told["clouds"] / 60 / told["minutes"], rel=0.01)
+    assert row["minutes"] == told["minutes"]
+    assert [[c / told["clouds"], v] for c, v in log["training loss"]] == [
+        [pytest.approx(0.8), 2.0], [pytest.approx(0.9), 1.0], [1.0, 0.5],
+    ]  # fmt: skip
+    assert log["validation accuracy"] == []
+    # An older record says nothing of clouds: its lines are the ends of its epochs.
+    old = {"clouds_seen": 100, "curve": {"train_loss": [3.0, 2.0, 1.0, 0.5]}}
+    assert rows._log(old, "train_loss") == [[25, 3.0], [50, 2.0], [75, 1.0], [100, 0.5]]
+
+
 def test_a_power_law_is_found_again_and_told_with_its_interval():
     clouds = (25_000, 50_000, 100_000, 200_000)
     exact = [scaling.Seen(n, 1 - 3 * n**-0.25, 0, 0) for n in clouds]
