@@ -17,7 +17,9 @@ const h = (tag, attributes, ...children) => fill(document.createElement(tag), at
 const s = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
 const dash = "–";
-const percent = share => (share === null || share === undefined ? dash : (100 * share).toFixed(1).replace("-", "−"));
+// One digit after the point, as the tables in Python have it: a tie goes to the even digit (6.25 is 6.2).
+const oneDigit = value => (value * 4 % 1 === 0 && value * 2 % 1 !== 0 ? 2 * Math.round(value * 5) / 10 : value).toFixed(1);
+const percent = share => (share === null || share === undefined ? dash : oneDigit(100 * share).replace("-", "−"));
 const range = (low, high) => `${percent(low)} – ${percent(high)}`;
 // An interval in brackets; nothing where there is none.
 const bracketed = (low, high) => (low === null ? "" : ` (${range(low, high)})`);

@@ -23,7 +23,7 @@ from leaderboard.page.content import Found, content, kind
 from partialbench.benchmark.protocol.protocol import protocol
 from partialbench.benchmark.records import results
 from partialbench.errors import InputError
-from tests.leaderboard.records import add, predictions, record, small_board
+from tests.leaderboard.records import CLASSES, add, predictions, record, small_board
 
 
 def data_of(path):
@@ -273,3 +273,21 @@ def test_milestones_of_a_row_are_one_curve(tmp_path):
     far = curves["one"]["far"]
     assert far[1] < far[0] < far[2]
     assert not any(map(math.isnan, far))
+
+
+def test_no_figure_that_is_printed_is_rounded_before(tmp_path):
+    """48 of 173 are 27.7 %: rounded to 27.75 first, they would be 27.8."""
+    stored = predictions(1.0, 0, objects=173, views=1)
+    wrong = np.arange(173) >= 48
+    stored.classes[wrong, :2] = stored.classes[wrong, 1::-1]
+    results.write(tmp_path, record("one", stored), stored)
+    (page, *_) = build_leaderboard(tmp_path, tmp_path / "out")
+    ((row,),) = (column["rows"] for column in data_of(page)["columns"])
+    assert row["accuracy"] == 48 / 173
+    assert "names 27.7 % (" in data_of(page)["columns"][0]["facts"][0]
+    assert "| 27.7 |" in (tmp_path / "out" / "leaderboard.md").read_text()
+    classes = dict(row["more"]["per_class"])
+    right = {name: sum(~wrong[i::4]) / len(wrong[i::4]) for i, name in enumerate(CLASSES)}
+    assert {name: f"{100 * share:.1f}" for name, share in classes.items()} == {
+        name: f"{100 * share:.1f}" for name, share in right.items()
+    }

@@ -10,6 +10,7 @@ import pytest
 from leaderboard.page import html
 from leaderboard.tables import latex
 from leaderboard.tables.plain import csv_cell
+from leaderboard.words import percent
 
 SHOW = "dispatchEvent(new HashChangeEvent('hashchange'))"
 LOOKS = """() => [...document.querySelectorAll("main > section figure:has(.key)")].map(figure =>
@@ -72,6 +73,32 @@ def test_an_axis_has_numbers_wherever_its_values_lie(page):
     change(page, "column.rows.forEach((row, i) => { row.multiply_adds = 7e6 + 3e5 * (i % 4); })")
     labels = page.locator("#shows svg.chart").first.locator("text").all_text_contents()
     assert [text for text in labels if text.endswith(" M")]
+
+
+def test_a_share_is_printed_as_every_other_table_prints_it(page):
+    """Ties too: 6.25 is 6.2 in Python and would be 6.3 in the page's language."""
+    shares = [k / clouds for clouds in (16, 80, 120, 173, 400, 1975) for k in range(clouds + 1)]
+    shares += [-share for share in shares[:400] if share]
+    shown = page.evaluate("shares => shares.map(percent)", shares)
+    assert shown == [percent(share, None).replace("-", "−") for share in shares]
+
+
+def test_the_page_prints_what_the_table_in_markdown_prints(page, built):
+    sections = built.with_name("leaderboard.md").read_text(encoding="utf-8").split("\n## ")
+    columns = page.evaluate("""() => DATA.columns.map(c => [c.name, c.rows.map(row => [row.title,
+      percent(row.accuracy) + (row.std === null ? "" : ` ± ${percent(row.std)}`),
+      range(row.low, row.high), percent(row.turned), row.milliseconds.toFixed(2)])])""")
+    assert len(columns) > 2
+    for name, shown in columns:
+        (section,) = (each for each in sections if each.startswith(f"{name}\n"))
+        head, _, *lines = (
+            [cell.strip().replace("\\", "").replace("&lt;", "<") for cell in line.split("|")[1:-1]]
+            for line in section.splitlines()
+            if line.startswith("|")
+        )
+        wanted = ["model", "accuracy", "95 % interval", "turned", "ms a cloud"]
+        told = [[line[head.index(column)] for column in wanted] for line in lines]
+        assert sorted(told) == sorted(shown)
 
 
 def test_marks_stand_where_the_values_are(page):
