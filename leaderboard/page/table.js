@@ -109,7 +109,7 @@ function picker(column) {
     h("button", { type: "button", class: "plain", "data-key": "cols-reset", onclick: () => go({ cols: "" }) }, "as it was")));
 }
 
-// The table that is shown, unfolded and unfiltered, as a file. Numbers have four digits, shares are in [0, 1].
+// The table that is shown, unfolded and unfiltered, as a file. Numbers are as the records have them, shares in [0, 1].
 const FILES = {
   CSV: column => text(column, rows => rows.map(row => row.map(csv).join(",")).join("\n")),
   JSON: column => JSON.stringify({ column: column.name, about: column.about, rows: rowsOn(column).map(({ more, ...row }) => row) }, null, 1),
