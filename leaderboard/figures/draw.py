@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import itertools
+import math
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,62 +53,79 @@ def draw_all(
 ) -> dict[str, tuple[str, Figure]]:
     """File stem → (caption, figure). Only figures that have something to show are made."""
     figures: dict[str, tuple[str, Figure]] = {}
+    slugs = _slugs(board)
     with mpl.rc_context(_STYLE):
         settings = _by_setting(board)
         if settings is not None:
             figures["settings"] = ("Aligned, rotated and partial clouds", settings)
         for column, comparison in zip(board, comparisons, strict=True):
-            figures[f"accuracy_{column.slug}"] = (
+            slug = slugs[column.key]
+            figures[f"accuracy_{slug}"] = (
                 f"Accuracy with 95 % intervals over objects: {column.title}",
                 _accuracy(column, comparison),
             )
-            figures[f"visibility_{column.slug}"] = (
+            figures[f"visibility_{slug}"] = (
                 f"Accuracy against the share of the surface that is seen: {column.title}",
                 _visibility(column),
             )
             seen = _pose_visibility(column, folder)
             if seen is not None:
-                figures[f"pose_visibility_{column.slug}"] = (
+                figures[f"pose_visibility_{slug}"] = (
                     f"Pose error against the share of the surface that is seen: {column.title}",
                     seen,
                 )
-            figures[f"cost_{column.slug}"] = (
+            figures[f"cost_{slug}"] = (
                 f"Accuracy against multiply-adds of one cloud: {column.title}", _cost(column),
             )  # fmt: skip
             pose = _top_k(column)
             if pose is not None:
-                figures[f"pose_{column.slug}"] = (
+                figures[f"pose_{slug}"] = (
                     f"Top-k accuracy of the pose bin: {column.title}",
                     pose,
                 )
             poses = _ensemble(column)
             if poses is not None:
-                figures[f"ensemble_{column.slug}"] = (
+                figures[f"ensemble_{slug}"] = (
                     f"Accuracy against the number of poses that decide: {column.title}",
                     poses,
                 )
-            figures[f"confusion_{column.slug}"] = (
+            figures[f"confusion_{slug}"] = (
                 f"Confusion of {row_title(column.cells[ranked(column)[0]].results[0])}, all seeds: "
                 f"{column.title}",
                 _confusion(column, folder),
             )
         for family in families:
             title = f"the {family.axis}: {family.column.title}"
-            figures[f"{family.condition}_{family.column.slug}"] = (
+            figures[f"{family.condition}_{slugs[family.column.key]}"] = (
                 f"Accuracy against {title}", _curves(family),
             )  # fmt: skip
             poses = _pose_curves(family)
             if poses is not None:
-                figures[f"pose_{family.condition}_{family.column.slug}"] = (
+                figures[f"pose_{family.condition}_{slugs[family.column.key]}"] = (
                     f"Pose error against {title}", poses,
                 )  # fmt: skip
         for given in given_poses:
-            figures[f"given_pose_{given.column.slug}"] = (
+            figures[f"given_pose_{slugs[given.column.key]}"] = (
                 "Accuracy under a given pose (dashed: the model's own; dotted: a random one): "
                 f"{given.column.title}",
                 _given(given),
             )
     return figures
+
+
+def _slugs(board: list[Column]) -> dict[tuple[str, ...], str]:
+    """Column key → what its files are named by: its slug, and eight digits of the key's SHA-256
+    where two columns have one slug (my_data and My-Data): no figure takes another's place.
+    """
+    alike = Counter(column.slug for column in board)
+
+    def named(column: Column) -> str:
+        if alike[column.slug] == 1:
+            return column.slug
+        digest = hashlib.sha256("\n".join(column.key).encode()).hexdigest()
+        return f"{column.slug}-{digest[:8]}".strip("-")
+
+    return {column.key: named(column) for column in board}
 
 
 def files(
@@ -279,13 +300,25 @@ def _cost(column: Column) -> Figure:
         x, y = cell.cost["multiply_adds"], 100 * cell.mean()
         axes.plot(max(x, 1), y, linestyle="", label=_label(column, name), **_look(column, name))
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(lambda value, _: engineering(value))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    places = _log_places([max(cell.cost["multiply_adds"], 1) for cell in column.cells.values()])
+    axes.set_xticks(places, [engineering(value) for value in places])
+    axes.minorticks_off()
     axes.margins(0.15)
     axes.set_xlabel("multiply-adds of one cloud")
     axes.set_ylabel("accuracy (%)")
     _legend(axes)
     return figure
+
+
+def _log_places(values: Sequence[float]) -> list[float]:
+    """Powers of ten among them; 1, 2 and 5 times such where those are few; else the ends."""
+    low, high = min(values), max(values)
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for factors in ((1,), (1, 2, 5)):
+        found = [f * 10.0**p for p in powers for f in factors if low <= f * 10.0**p <= high]
+        if len(found) > 1:
+            return found
+    return sorted({low, high})
 
 
 def _top_k(column: Column) -> Figure | None:

@@ -3,17 +3,24 @@ const SHAPES = ["circle", "square", "up", "diamond", "down", "cross", "bar", "ri
 const FEWEST_MARKS = 3;  // fewer are a sentence, not a figure
 const MOST_LINES = 8;    // as many colours as can be told apart
 
-function mark(shape, x, y, key) {
-  const at = (points) => s("path", { d: `M${points.map(([a, b]) => `${x + a},${y + b}`).join("L")}Z`, class: `k${key}` });
-  switch (SHAPES[shape]) {
+// Which colour a key has; its mark is another one in each round of the colours, so that no two of 64 look alike.
+const hue = key => `k${key % MOST_LINES}`;
+const shapeOf = key => SHAPES[(key + Math.floor(key / MOST_LINES)) % SHAPES.length];
+
+// Row → its key in every figure that compares rows: models in the table's own order, then their variants.
+const looks = column => new Map([...column.rows.filter(row => row.main), ...column.rows.filter(row => !row.main)].map((row, i) => [row.id, i]));
+
+function mark(key, x, y) {
+  const at = (points) => s("path", { d: `M${points.map(([a, b]) => `${x + a},${y + b}`).join("L")}Z`, class: hue(key) });
+  switch (shapeOf(key)) {
     case "square": return at([[-3.5, -3.5], [3.5, -3.5], [3.5, 3.5], [-3.5, 3.5]]);
     case "up": return at([[0, -4.5], [4.2, 3.2], [-4.2, 3.2]]);
     case "diamond": return at([[0, -5], [5, 0], [0, 5], [-5, 0]]);
     case "down": return at([[0, 4.5], [4.2, -3.2], [-4.2, -3.2]]);
-    case "cross": return s("path", { d: `M${x - 4},${y - 4}l8,8M${x - 4},${y + 4}l8,-8`, class: `k${key}`, "stroke-width": 2.2 });
+    case "cross": return s("path", { d: `M${x - 4},${y - 4}l8,8M${x - 4},${y + 4}l8,-8`, class: hue(key), "stroke-width": 2.2 });
     case "bar": return at([[-5, -2], [5, -2], [5, 2], [-5, 2]]);
-    case "ring": return s("circle", { cx: x, cy: y, r: 3.6, class: `k${key}`, "fill-opacity": 0, "stroke-width": 2 });
-    default: return s("circle", { cx: x, cy: y, r: 3.8, class: `k${key}` });
+    case "ring": return s("circle", { cx: x, cy: y, r: 3.6, class: hue(key), "fill-opacity": 0, "stroke-width": 2 });
+    default: return s("circle", { cx: x, cy: y, r: 3.8, class: hue(key) });
   }
 }
 
@@ -32,27 +39,28 @@ function columnWidth(whole, least) {
   return Math.max(240, (whole - gap * (columns - 1)) / columns);
 }
 
-// 1, 2 and 5 times powers of ten within [low, high].
+// 1, 2 and 5 times powers of ten within [low, high]; where fewer than two lie there, round numbers or the ends.
 function logTicks(low, high) {
   const ticks = [];
   for (let power = 10 ** Math.floor(Math.log10(low)); power <= high; power *= 10) {
     ticks.push(...[1, 2, 5].map(m => m * power).filter(v => v >= low && v <= high));
   }
-  return ticks;
+  if (ticks.length > 1) return ticks;
+  const round = roundTicks(low, high, 4).filter(v => v >= low && v <= high);
+  return round.length > 1 ? round : [...new Set([low, high])];
 }
 
 // Series: {name, key, points: [[x, y, low, high]], far: {x, y, low, high}}; y in the unit of its axis. The key is
-// of colour and mark: a model's place in the table, so that it looks alike in every figure.
+// of colour and mark: a model's place in the table (looks), so that it looks alike in every figure that compares.
 // Returns a figure with its legend, or null where there is too little to draw.
 function lineChart({ caption, series, x, y, width, lines = true, apart = 0 }) {
   const there = series.filter(each => each.points.length).map((each, i) => ({ key: i, ...each }));
-  // Rows far down the table take the looks that are free here.
-  const far = there.some(each => each.key >= MOST_LINES);
-  const drawn = there.slice(0, MOST_LINES).map((each, i) => (far ? { ...each, key: i } : each));
+  const drawn = there.slice(0, MOST_LINES);
   const left = there.length - drawn.length;
   const all = drawn.flatMap(each => [...each.points, ...(each.far ? [[each.far.x, each.far.y, each.far.low, each.far.high]] : [])]);
   if (all.length < FEWEST_MARKS) return null;
-  const W = Math.max(280, Math.min(width, 620)), H = Math.round(W * 0.52), box = { l: 46, r: 14, t: 10, b: 40 };
+  // As high as the longest name of an axis is long.
+  const W = Math.max(280, Math.min(width, 620)), H = Math.max(184, Math.round(W * 0.52)), box = { l: 46, r: 14, t: 10, b: 40 };
   const xs = all.map(p => p[0]), ys = all.flatMap(p => [p[1], p[2], p[3]]).filter(v => v !== null && v !== undefined);
   const to = x.log ? Math.log : v => v;
   let [x0, x1] = [Math.min(...xs), Math.max(...xs)].map(to);
@@ -79,12 +87,12 @@ function lineChart({ caption, series, x, y, width, lines = true, apart = 0 }) {
     s("line", { x1: box.l, x2: W - box.r, y1: py(v), y2: py(v), class: "grid" }),
     s("text", { x: box.l - 6, y: py(v) + 4, "text-anchor": "end" }, String(v))));
   const curves = drawn.map(({ key: i, ...each }, n) => s("g", {}, s("title", {}, each.name),
-    lines && s("path", { class: `line k${i}`, d: "M" + each.points.map(p => `${(px(p[0]) + beside(n)).toFixed(1)},${py(p[1]).toFixed(1)}`).join("L") }),
-    each.far && s("path", { class: `line far k${i}`, d: `M${px(each.points.at(-1)[0])},${py(each.points.at(-1)[1])}L${px(each.far.x)},${py(each.far.y)}` }),
-    each.far && s("path", { class: `line k${i}`, d: `M${px(each.far.x)},${py(each.far.low)}V${py(each.far.high)}` }),
+    lines && s("path", { class: `line ${hue(i)}`, d: "M" + each.points.map(p => `${(px(p[0]) + beside(n)).toFixed(1)},${py(p[1]).toFixed(1)}`).join("L") }),
+    each.far && s("path", { class: `line far ${hue(i)}`, d: `M${px(each.points.at(-1)[0])},${py(each.points.at(-1)[1])}L${px(each.far.x)},${py(each.far.y)}` }),
+    each.far && s("path", { class: `line ${hue(i)}`, d: `M${px(each.far.x)},${py(each.far.low)}V${py(each.far.high)}` }),
     each.points.map(p => [
-      typeof p[2] === "number" && s("path", { class: `line k${i}`, "stroke-opacity": 0.45, d: `M${px(p[0]) + beside(n)},${py(p[2])}V${py(p[3])}` }),
-      mark(i, px(p[0]) + beside(n), py(p[1]), i)])));
+      typeof p[2] === "number" && s("path", { class: `line bound ${hue(i)}`, d: `M${px(p[0]) + beside(n)},${py(p[2])}V${py(p[3])}` }),
+      mark(i, px(p[0]) + beside(n), py(p[1]))])));
   const chart = s("svg", { class: "chart", viewBox: `0 0 ${W} ${H}`, width: W, height: H, role: "img", "aria-label": caption },
     levels, ticks, curves,
     s("text", { x: (box.l + W - box.r) / 2, y: H - 5, "text-anchor": "middle" }, x.label),
@@ -93,14 +101,15 @@ function lineChart({ caption, series, x, y, width, lines = true, apart = 0 }) {
 }
 
 const legend = (drawn, left) => h("ul", { class: "key" },
-  drawn.map(({ name, key: i }) => h("li", {}, s("svg", { width: 13, height: 13, viewBox: "-7 -7 14 14", "aria-hidden": "true" }, mark(i, 0, 0, i)), name)),
+  drawn.map(({ name, key: i }) => h("li", {}, s("svg", { width: 13, height: 13, viewBox: "-7 -7 14 14", "aria-hidden": "true" }, mark(i, 0, 0)), name)),
   left > 0 && h("li", { class: "quiet" }, `and ${left} more in the table`));
 
 // Where a row's accuracy lies between the lowest and the highest bound of the table.
 function rangeMark(row, low, high) {
   const at = v => 3 + 94 * (v - low) / (high - low || 1);
-  return s("svg", { class: "range", width: 100, height: 14, viewBox: "0 0 100 14", role: "img", "aria-label": `95 % interval ${range(row.low, row.high)}` },
-    s("title", {}, `95 % interval ${range(row.low, row.high)}`),
+  const told = row.low === null ? "no interval: one test object" : `95 % interval ${range(row.low, row.high)}`;
+  return s("svg", { class: "range", width: 100, height: 14, viewBox: "0 0 100 14", role: "img", "aria-label": told },
+    s("title", {}, told),
     s("line", { class: "ground", x1: 3, x2: 97, y1: 7, y2: 7 }),
     row.low !== null && s("rect", { x: at(row.low), width: Math.max(1.5, at(row.high) - at(row.low)), y: 3.5, height: 7, rx: 1.5 }),
     s("line", { x1: at(row.accuracy), x2: at(row.accuracy), y1: 1, y2: 13 }));

@@ -217,8 +217,8 @@ def view_data(curves: Curves) -> dict[str, Any]:
         "quantity": curves.quantity,
         "rows": {
             name: [
-                _finite(((p.start + p.end) / 2, p.clouds, p.accuracy, p.low, p.high,
-                         p.pose_deg, p.pose_low, p.pose_high))
+                _short((p.start + p.end) / 2, p.clouds, p.accuracy, p.low, p.high,
+                       p.pose_deg, p.pose_low, p.pose_high)
                 for p in places
             ]
             for name, places in curves.rows.items()
@@ -239,5 +239,10 @@ def _curve_data(curves: dict[str, list[Seen]]) -> dict[str, Any]:
 
 
 def _finite(values: Sequence[float | None]) -> list[float | None]:
-    """Rounded to five digits, None for NaN."""
-    return [None if v is None or v != v else float(f"{v:.5g}") for v in values]
+    """As they are, for they are printed; None for NaN."""
+    return [None if v is None or v != v else float(v) for v in values]
+
+
+def _short(*values: float | None) -> list[float | None]:
+    """Five digits, for figures; None for NaN."""
+    return [None if v is None else float(f"{v:.5g}") for v in _finite(values)]

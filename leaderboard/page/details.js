@@ -15,11 +15,11 @@ function details(column, row) {
       ...card.deviations.map(text => `deviates: ${text}`),
     ]), folded("This run against the publication's recipe", more.deviations), folded("What the publication leaves open, and how it is settled here", card.choices)),
     h("div", {}, h("h3", {}, "Training"), list([
-      `${thousands(more.training.clouds)} clouds seen in ${row.minutes.toFixed(1)} min, ${thousands(more.training.per_second)} a second`,
+      `${more.training.seeds.length > 1 ? `seed ${more.training.seed}: ` : ""}${thousands(more.training.clouds)} clouds seen in ${more.training.minutes.toFixed(1)} min, ${thousands(more.training.per_second)} a second while it learns`,
       `on ${more.training.device}; commit ${more.training.commit}`,
       `seeds ${more.training.seeds.join(", ")}; weights ${more.training.weights.join(", ")}`,
       `input ${row.input}`,
-    ]), learning(column, [row], width), trainingLog(more.log, width)),
+    ]), learning(column, [row], width), trainingLog(more, width)),
     h("div", {}, h("h3", {}, "Classes, the hardest first"), h("div", { class: "bars", tabindex: "0", role: "region", "aria-label": "accuracy per class" }, classes.map(([label, value]) => [
       h("span", {}, label),
       s("svg", { viewBox: "0 0 100 6", preserveAspectRatio: "none", "aria-hidden": "true" }, s("rect", { width: 100 * value, height: 6 })),
@@ -43,13 +43,13 @@ const QUANTITIES = {
 const ACCURACY = { from: 2, scale: 100, label: "accuracy (%)", text: "Accuracy", most: 100 };
 const POSE_ERROR = { from: 5, scale: 1, label: "median pose error (°)", text: "Pose error", most: 180 };
 
-function viewChart(view, rows, what, width) {
+function viewChart(view, rows, what, width, keys = new Map()) {
   const over = QUANTITIES[view.quantity], scaled = v => (v === null ? null : what.scale * v);
   const clouds = rows.flatMap(row => view.rows[row.id] || []).map(place => place[1]);
   return lineChart({
     caption: `${what.text} over ${over.text} (95 % intervals over test objects; ${thousands(Math.min(...clouds))} to ${thousands(Math.max(...clouds))} clouds a bin).`, width,
-    series: rows.map((row, key) => ({
-      name: row.title, key, points: (view.rows[row.id] || []).filter(place => place[what.from] !== null).map(place => [over.scale * place[0], ...[0, 1, 2].map(i => scaled(place[what.from + i]))]),
+    series: rows.map(row => ({
+      name: row.title, key: keys.get(row.id) ?? 0, points: (view.rows[row.id] || []).filter(place => place[what.from] !== null).map(place => [over.scale * place[0], ...[0, 1, 2].map(i => scaled(place[what.from + i]))]),
     })),
     x: { label: over.label, text: v => String(+v.toFixed(2)).replace("-", "−") }, y: { label: what.label, least: 0, most: what.most }, apart: 4,
   });
@@ -61,16 +61,16 @@ const COMPARED = 5;  // rows whose intervals can still be told apart
 function byView(column, width) {
   const rows = column.rows.filter(row => row.main && (state.tab !== "pose" || row.pose)).slice(0, COMPARED);
   const what = state.tab === "pose" ? POSE_ERROR : ACCURACY;
-  const charts = column.views.map(view => viewChart(view, rows, what, width)).filter(Boolean);
+  const charts = column.views.map(view => viewChart(view, rows, what, width, looks(column))).filter(Boolean);
   if (!charts.length) return null;
   const lacking = column.views.length < 3 && h("p", { class: "about" }, "Distance and elevation of the camera are in the data: they are drawn where the data folder is at hand when the board is made (partialbench leaderboard --look-in FOLDER).");
   return h("section", { id: "views" }, h("h2", {}, "By what the camera sees"), h("div", { class: "figures" }, charts), lacking);
 }
 
 function copy(text, button) {
-  const byHand = () => { button.textContent = "select it and copy by hand"; };
+  const byHand = () => { button.textContent = "select it and copy by hand"; say(button.textContent); };
   if (!navigator.clipboard) byHand();  // pages served without encryption have none
-  else navigator.clipboard.writeText(text).then(() => { button.textContent = "copied"; }, byHand);
+  else navigator.clipboard.writeText(text).then(() => { button.textContent = "copied"; say("copied"); }, byHand);
 }
 
 function reliability(row, width) {
@@ -82,12 +82,13 @@ function reliability(row, width) {
   }) || h("p", { class: "about" }, `The mean gap between confidence and accuracy is ${percent(row.calibration)} points.`);
 }
 
-function trainingLog(log, width) {
-  return Object.entries(log).filter(([, values]) => values.length > 2).map(([name, values]) => {
-    const scale = name.endsWith("accuracy") ? 100 : 1;
+// Lines of the log are [clouds seen, value], each of what went before it.
+function trainingLog({ log, training }, width) {
+  return Object.entries(log).filter(([, lines]) => lines.length > 2).map(([name, lines]) => {
+    const scale = name.endsWith("accuracy") ? 100 : 1, values = lines.map(([, value]) => scale * value);
     return lineChart({
-      caption: `${name} over the training: ${(scale * values[0]).toPrecision(3)} → ${(scale * values.at(-1)).toPrecision(3)}.`, width,
-      series: [{ name, points: values.map((v, i) => [100 * i / (values.length - 1), scale * v]) }],
+      caption: `${name} over the training: ${values[0].toPrecision(3)} → ${values.at(-1).toPrecision(3)}.`, width,
+      series: [{ name, points: lines.map(([clouds], i) => [100 * clouds / training.clouds, values[i]]) }],
       x: { label: "share of the training (%)", text: v => String(v) }, y: { label: scale === 100 ? `${name} (%)` : name },
     });
   });
@@ -100,8 +101,9 @@ function learning(column, rows, width) {
   const curves = DATA.curves[column.group] || {};
   // Where several rows are compared, one milestone is no curve.
   const long = rows.filter(row => curves[row.id] && (rows.length === 1 || curves[row.id].points.length > 1));
+  const keys = rows.length > 1 ? looks(column) : new Map();
   const series = long.map((row, i) => ({
-    name: row.title, key: rows.indexOf(row),
+    name: row.title, key: keys.get(row.id) ?? 0,
     points: curves[row.id].points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]),
     far: i < MOST_FAR && curves[row.id].far && { x: DATA.far, y: 100 * curves[row.id].far[0], low: 100 * curves[row.id].far[1], high: 100 * curves[row.id].far[2] },
   }));

@@ -17,8 +17,12 @@ const h = (tag, attributes, ...children) => fill(document.createElement(tag), at
 const s = (tag, attributes, ...children) => fill(document.createElementNS(SVG, tag), attributes, children);
 
 const dash = "–";
-const percent = share => (share === null || share === undefined ? dash : (100 * share).toFixed(1).replace("-", "−"));
-const range = (low, high) => (low === null ? "" : `${percent(low)} – ${percent(high)}`);
+// One digit after the point, as the tables in Python have it: a tie goes to the even digit (6.25 is 6.2).
+const oneDigit = value => (value * 4 % 1 === 0 && value * 2 % 1 !== 0 ? 2 * Math.round(value * 5) / 10 : value).toFixed(1);
+const percent = share => (share === null || share === undefined ? dash : oneDigit(100 * share).replace("-", "−"));
+const range = (low, high) => `${percent(low)} – ${percent(high)}`;
+// An interval in brackets; nothing where there is none.
+const bracketed = (low, high) => (low === null ? "" : ` (${range(low, high)})`);
 const thousands = number => number.toLocaleString("en-US");
 const engineering = count => {
   for (const [unit, size] of [["G", 1e9], ["M", 1e6], ["k", 1e3]]) {
@@ -32,6 +36,7 @@ const tip = document.getElementById("tip");
 function showTip(target, text) {
   tip.textContent = text;
   tip.hidden = false;
+  if (target.matches("button")) target.setAttribute("aria-describedby", "tip");  // read out where it has the focus
   const box = target.getBoundingClientRect();
   tip.style.left = `${Math.max(8, Math.min(box.left, innerWidth - tip.offsetWidth - 8))}px`;
   const below = box.bottom + 6;
@@ -40,6 +45,10 @@ function showTip(target, text) {
 const hideTip = () => { tip.hidden = true; };
 addEventListener("keydown", event => { if (event.key === "Escape") hideTip(); });
 addEventListener("scroll", hideTip, { passive: true, capture: true });
+
+// What has changed, for those who do not see it.
+const said = document.getElementById("said");
+const say = text => { said.textContent = text; };
 
 const explained = (text, label) => h("button", {
   type: "button", class: "help", "aria-label": `what ${label} means`,

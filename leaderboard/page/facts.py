@@ -39,6 +39,9 @@ def cost(rows: list[dict[str, Any]]) -> list[str]:
             f"; the cheapest, {cheapest['title']}, {_cost(cheapest)} at "
             f"{percent(cheapest['accuracy'], None)} %"
         )
+    if len(main) == 2:
+        other = "" if cheapest is not first else f"; {main[1]['title']} {_cost(main[1])}"
+        return [f"{text}{other}."]
     dearer = sum(row["multiply_adds"] > first["multiply_adds"] for row in main[1:])
     return [f"{text}. Of the {len(main) - 1} others {dearer or 'none'} cost more than the first."]
 

@@ -24,6 +24,7 @@ function controls(column) {
     h("label", {}, "Model ", h("input", { type: "search", id: "filter", "data-key": "filter", value: state.q, placeholder: "part of a name", oninput: event => {
       history.replaceState(null, "", address({ q: event.target.value })); state.q = event.target.value;
       document.getElementById("table").replaceChildren(table(column));
+      say(`${document.querySelectorAll("#table tr.row").length} rows`);
     } })),
     picker(column));
 }
@@ -33,7 +34,7 @@ function conditions(column, width) {
     h("p", { class: "about" }, "The same weights throughout, tested on other clouds than they were trained for. In brackets the 95 % interval over test objects."),
     lineChart({
       caption: `Accuracy against the ${family.axis}.`, width,
-      series: family.rows.map(row => ({ name: row.title, points: row.points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]) })),
+      series: family.rows.map(row => ({ name: row.title, key: looks(column).get(row.id), points: row.points.map(p => [p[0], 100 * p[1], p[2] === null ? null : 100 * p[2], p[3] === null ? null : 100 * p[3]]) })),
       x: { log: family.condition === "points", label: family.axis, text: String, places: [...new Set(family.rows.flatMap(row => row.points.map(p => p[0])))].sort((a, b) => a - b) },
       y: { label: "accuracy (%)", least: 0, most: 100 },
     }),
@@ -53,14 +54,14 @@ function given(column) {
 function grid([first, ...places], rows, value, heading = String) {
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "table" }, h("table", {},
     h("thead", {}, h("tr", {}, h("th", { class: "name text", scope: "col" }, first), places.map(place => h("th", { scope: "col" }, heading(place))))),
-    h("tbody", {}, rows.map(row => h("tr", {}, h("td", { class: "name text" }, row.title), places.map(place => {
+    h("tbody", {}, rows.map(row => h("tr", {}, h("th", { class: "name text", scope: "row" }, row.title), places.map(place => {
       const found = value(row, place);
-      return h("td", {}, found ? [percent(found[0]), h("span", { class: "quiet" }, found[1] === null ? "" : ` (${range(found[1], found[2])})`)] : dash);
+      return h("td", {}, found ? [percent(found[0]), h("span", { class: "quiet" }, bracketed(found[1], found[2]))] : dash);
     }))))));
 }
 
 function whatItShows(column, width) {
-  const main = column.rows.filter(row => row.main), steps = column.settings;
+  const main = column.rows.filter(row => row.main), steps = column.settings, keys = looks(column);
   // Rows of another table, in this one's order.
   const keyed = rows => rows.map(row => ({ ...row, key: main.findIndex(each => each.id === row.id) }))
     .filter(row => row.key >= 0).sort((a, b) => a.key - b.key);
@@ -71,13 +72,13 @@ function whatItShows(column, width) {
   });
   const cost = state.tab === "cost" && lineChart({
     caption: "Accuracy against the multiply-adds of one cloud.", width, lines: false,
-    series: main.map(row => ({ name: row.title, points: [[Math.max(row.multiply_adds, 1), 100 * row.accuracy, row.low && 100 * row.low, row.high && 100 * row.high]] })),
+    series: main.map(row => ({ name: row.title, key: keys.get(row.id), points: [[Math.max(row.multiply_adds, 1), 100 * row.accuracy, row.low && 100 * row.low, row.high && 100 * row.high]] })),
     x: { log: true, label: "multiply-adds of one cloud", places: logTicks(...[Math.min, Math.max].map(of => of(...main.map(row => Math.max(row.multiply_adds, 1))))) },
     y: { label: "accuracy (%)", most: 100, least: 0 },
   });
   const topK = state.tab === "pose" && lineChart({
     caption: "Share of clouds whose true pose bin is among the k most probable of the 60.", width,
-    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: main.indexOf(row), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
+    series: main.filter(row => row.more.top_k.length).map(row => ({ name: row.title, key: keys.get(row.id), points: row.more.top_k.map((v, i) => [i + 1, 100 * v]) })),
     x: { label: "k", text: String }, y: { label: "share of clouds (%)", least: 0, most: 100 },
   });
   return h("section", { id: "shows" }, h("h2", {}, "What this shows"),
@@ -90,16 +91,19 @@ function behindAClick(column) {
   const section = (title, make) => h("details", {
     class: "section", "data-open": title, ontoggle: event => { if (event.target.open && event.target.childElementCount === 1) event.target.append(make()); },
   }, h("summary", { "data-key": `open-${title}` }, title));
-  const others = DATA.layouts.filter(layout => layout.title.includes(column.name) || !DATA.columns.some(c => layout.title.includes(c.name)));
+  const others = DATA.layouts.filter(layout => [undefined, column.name].includes(columnNamed(layout.title)));
   return h("section", { id: "more" }, h("h2", {}, "More"),
     section("Downloads", () => downloads(column)),
     section("Data, protocol and digests", () => h("div", {}, h("p", {}, column.about), h("p", { class: "about" }, "What a record does not share with these, by digest, stands in another table. The digest of every row's weights is in its card."))),
     others.map(layout => section(layout.title, () => textTable(layout))));
 }
 
+// The name of the column that a table is of, at the end of its title; of a transfer's the whole one.
+const columnNamed = title => DATA.columns.map(c => c.name).filter(name => title.endsWith(name)).sort((a, b) => b.length - a.length)[0];
+
 const textTable = layout => h("div", {}, h("p", { class: "about" }, layout.about), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": layout.title }, h("table", {},
   h("thead", {}, h("tr", {}, layout.head.map((text, i) => h("th", { scope: "col", class: i ? null : "name text" }, text)))),
-  h("tbody", {}, layout.rows.map(row => h("tr", {}, row.map((text, i) => h("td", { class: i ? null : "name text" }, text))))))));
+  h("tbody", {}, layout.rows.map(row => h("tr", {}, row.map((text, i) => (i ? h("td", {}, text) : h("th", { class: "name text", scope: "row" }, text)))))))));
 const progress = () => DATA.layouts.find(layout => layout.title.startsWith("Asked for"));
 
 // What follows the table, in its order; the table is there before it.
@@ -118,7 +122,7 @@ function show(firstTime) {
   hideTip();
   const asked = progress();
   main.replaceChildren(tabs, ...(column ? [
-    controls(column), state.tab === "noise" && h("div", {}, conditions(column, width)),
+    state.lost && h("p", { class: "note", id: "lost" }, state.lost), controls(column), state.tab === "noise" && h("div", {}, conditions(column, width)),
     h("h2", { class: state.tab === "noise" ? null : "unseen" }, state.tab === "noise" ? "On clouds as they were trained for" : "Results"),
     h("div", { id: "table" }, table(column)), h("p", { class: "about" }, "A line opens to the command that runs it again, its card, its curves and its classes."), h("p", { class: "about" }, column.what && `${column.what} `, column.about),
     ...(firstTime === true ? [] : below(column, width)),

@@ -64,29 +64,29 @@ def _row(
         "title": row_title(first),
         "main": name in main,
         "rank": _ranks(main, comparison).get(name),
-        "accuracy": _short(cell.mean()),
-        "std": _short(cell.std()),
-        "low": _short(low),
-        "high": _short(high),
+        "accuracy": _exact(cell.mean()),
+        "std": _exact(cell.std()),
+        "low": _exact(low),
+        "high": _exact(high),
         "behind": _behind(main[0], name, comparison),
         "groups": " ".join(map(str, comparison.groups[name])),
-        "over_classes": _short(cell.mean("class_accuracy")),
-        "without_duplicates": _short(cell.mean("accuracy_without_duplicates")) if alone else None,
-        "shared": _short(cell.mean("restricted_accuracy")) if crosses(column) else None,
-        "calibration": _short(cell.mean("calibration_error")),
-        "pose": cell.pose and {name: _short(v) for name, v in cell.pose._asdict().items()},
+        "over_classes": _exact(cell.mean("class_accuracy")),
+        "without_duplicates": _exact(cell.mean("accuracy_without_duplicates")) if alone else None,
+        "shared": _exact(cell.mean("restricted_accuracy")) if crosses(column) else None,
+        "calibration": _exact(cell.mean("calibration_error")),
+        "pose": cell.pose and {name: _exact(v) for name, v in cell.pose._asdict().items()},
         "claims": sorted(first.card["invariances"]),
-        "turned": _short(cell.drift),
+        "turned": _exact(cell.drift),
         "input": model_input(first),
         "parameters": cost["parameters"],
         "multiply_adds": cost["multiply_adds"],
-        "milliseconds": _short(cost["batch_ms"]),
+        "milliseconds": _exact(cost["batch_ms"]),
         "memory": training["peak_memory_bytes"],
         "seen": training["clouds_seen"] + clouds_before(training.get("start")),
-        "minutes": _short(training["seconds"] / 60),
+        "minutes": _exact(training["seconds"] / 60),
         "seeds": cell.seeds,
         "date": cell.date or None,
-        "paper": None if paper is None else _short(paper / 100),
+        "paper": None if paper is None else _exact(paper / 100),
         "more": _details(column, cell, folder),
     }  # fmt: skip
 
@@ -110,32 +110,35 @@ def _ranks(main: list[str], comparison: Comparison) -> dict[str, int]:
 def _behind(best: str, name: str, comparison: Comparison) -> list[float | None] | None:
     """Points behind the first line, with the interval; negative for a variant that is ahead."""
     if (best, name) in comparison.differences:
-        return [_short(value) for value in comparison.differences[best, name]]
+        return [_exact(value) for value in comparison.differences[best, name]]
     if (name, best) in comparison.differences:
         mean, low, high = comparison.differences[name, best]
-        return [_short(value) for value in (-mean, -high, -low)]
+        return [_exact(value) for value in (-mean, -high, -low)]
     return None
 
 
 def _details(column: Column, cell: Cell, folder: Path) -> dict[str, Any]:
-    first, training = cell.results[0], cell.results[-1].training
+    # One seed's, whose minutes the row's line has too: two may have run on two machines.
+    first, training = cell.results[0], cell.results[0].training
     tested = [counted(result, folder) for result in cell.results]
     environments = [*training.get("earlier_environments", []), training["environment"]]
     return {
         "command": reproduce(cell.results),
         "deviations": first.deviations,
-        "per_class": [[label, _short(share)] for label, share in cell.per_class.items()],
+        "per_class": [[label, _printed(share)] for label, share in cell.per_class.items()],
         "confusions": _confusions(first, tested),
         "reliability": _reliability(tested),
         "ensemble": _mean_curve([r.scores["ensemble"] for r in cell.results]),
         "top_k": _mean_curve([(r.scores["pose"] or {}).get("top_k") for r in cell.results]),
         "log": {
-            title: _thinned(training["curve"][key])
+            title: _log(training, key)
             for key, title in (("train_loss", "training loss"),
                                ("validation_accuracy", "validation accuracy"))
         },
         "training": {
+            "seed": first.seed,
             "clouds": training["clouds_seen"],
+            "minutes": _exact(training["seconds"] / 60),
             "per_second": round(training["clouds_per_second"]),
             "device": ", then ".join(
                 dict.fromkeys(f"{place['device']} ({place['cpu']})" for place in environments)
@@ -156,7 +159,7 @@ def _confusions(first: Result, tested: list[tuple[Predictions, NDArray]]) -> lis
     wrong = counts - np.diag(np.diag(counts))
     order = np.argsort(-wrong, axis=None, kind="stable")[:CONFUSIONS]
     return [
-        [int(i), int(j), _short(float(wrong[i, j] / totals[i]))]
+        [int(i), int(j), _printed(float(wrong[i, j] / totals[i]))]
         for i, j in zip(*np.unravel_index(order, wrong.shape), strict=True)
         if wrong[i, j]
     ]
@@ -180,15 +183,34 @@ def _mean_curve(seeds: list[Any]) -> list[float | None]:
     return [_short(float(v)) for v in np.mean(seeds, axis=0)] if all(seeds) else []
 
 
-def _thinned(values: list[float | None]) -> list[float | None]:
-    """At most ``LOG_POINTS`` of them, evenly spaced, the first and the last among them."""
+def _log(training: dict[str, Any], key: str) -> list[list[float | None]]:
+    """[clouds seen, value] of at most ``LOG_POINTS`` lines, the first and the last among them.
+
+    Lines are as far apart as the training wrote them: a branch writes more of them. Where a record
+    does not say at how many clouds, they are the ends of its epochs, which are equally long.
+    """
+    curve, values = training["curve"], training["curve"][key]
+    ends = np.linspace(0, training["clouds_seen"], len(values) + 1)[1:].tolist()
+    clouds = curve.get("clouds_seen", ends)
     chosen = np.unique(np.linspace(0, len(values) - 1, min(LOG_POINTS, len(values))).round())
-    kept = [values[int(i)] for i in chosen]
-    return [] if None in kept else [_short(value) for value in kept]
+    kept = [[clouds[int(i)], _short(values[int(i)])] for i in chosen]
+    return [] if any(value is None for _, value in kept) else kept
+
+
+def _exact(value: float | None) -> float | None:
+    """None for what is not a number. What is rounded twice may be told otherwise than in a table
+    that rounds once: 0.27746 as 27.7 %, and 0.2775 as 27.8 %.
+    """
+    return None if value is None or math.isnan(value) else value
+
+
+def _printed(share: float) -> float:
+    """A share rounded once, to what is printed of it in %."""
+    return float(f"{100 * share:.1f}") / 100
 
 
 def _short(value: float | None) -> float | None:
-    """Four digits; None for what is not a number."""
+    """Four digits, for figures; None for what is not a number."""
     return None if value is None or math.isnan(value) else float(f"{value:.4g}")
 
 

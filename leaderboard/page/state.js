@@ -11,10 +11,15 @@ function readAddress() {
   const given = new URLSearchParams(location.hash.slice(1));
   for (const key of KEYS) state[key] = given.get(key) || "";
   if (!TABS.some(([tab]) => tab === state.tab)) state.tab = firstTab();
-  const columns = columnsOf(state.tab);
-  if (!columns.some(c => c.group === state.data)) state.data = fullest(columns)?.group || "";
+  const columns = columnsOf(state.tab), asked = [state.data, state.clouds && `${state.clouds} clouds`].filter(Boolean).join(", ");
+  const known = !state.data || columns.some(c => c.group === state.data);
+  if (!known || !state.data) state.data = fullest(columns)?.group || "";
   const here = columns.filter(c => c.group === state.data);
-  if (!here.some(c => c.milestone === state.clouds)) state.clouds = fullest(here)?.milestone || "";
+  const reached = !state.clouds || here.some(c => c.milestone === state.clouds);
+  if (!reached || !state.clouds) state.clouds = fullest(here)?.milestone || "";
+  // An address of another board, or of this one before its data were made anew, must not pass for what it shows.
+  const row = state.row && !current()?.rows.some(each => each.id === state.row);
+  state.lost = known && reached ? (row ? `Here is no row ${state.row}.` : "") : `The address asks for ${asked}, which this board has not; below are other results.`;
 }
 
 function address(changes) {

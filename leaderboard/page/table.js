@@ -11,20 +11,26 @@ function sorted(rows, { by, direction }) {
   return rows.map((row, i) => [by.value(row), i, row]).sort(([a, i], [b, j]) => {
     const missing = v => v === null || v === undefined || v === "";
     if (missing(a) || missing(b)) return missing(a) - missing(b) || i - j;
-    return sign * (typeof a === "string" ? a.localeCompare(b, "en") : a - b) || i - j;
+    return sign * (typeof a === "string" ? a.localeCompare(b, "en", { numeric: true }) : a - b) || i - j;
   }).map(([, , row]) => row);
 }
+
+// The rows that a tab is about.
+const rowsOn = column => (state.tab === "pose" ? column.rows.filter(row => row.pose) : column.rows);
 
 function table(column) {
   const columns = shownColumns(column), order = sorting(columns);
   const asked = state.q.trim().toLowerCase(), unfolded = state.variants ? state.variants.split("|") : [];
   const fits = row => row.title.toLowerCase().includes(asked) || row.model.toLowerCase().includes(asked);
-  const seen = state.tab === "pose" ? column.rows.filter(row => row.pose) : column.rows;
+  const seen = rowsOn(column);
   const bounds = seen.flatMap(row => [row.accuracy, row.low, row.high]).filter(v => v !== null);
   const [low, high] = [Math.min(...bounds), Math.max(...bounds)];
-  const main = sorted(seen.filter(row => row.main && fits(row)), order);
   const variants = row => seen.filter(other => other.model === row.model && !other.main);
-  const lines = main.flatMap(row => [row, ...(unfolded.includes(row.model) ? sorted(variants(row), order) : [])]);
+  // Variants stand below their model; alone where it is not on this tab.
+  const heads = seen.filter(row => row.main || !seen.some(other => other.main && other.model === row.model));
+  // What is looked for may be in the name of a variant alone: that one is shown then, folded or not.
+  const below = row => (!row.main ? [] : unfolded.includes(row.model) ? variants(row) : fits(row) ? [] : variants(row).filter(fits));
+  const lines = sorted(heads.filter(row => fits(row) || below(row).some(fits)), order).flatMap(row => [row, ...sorted(below(row), order)]);
   // A link to a variant's row shows that row.
   const linked = seen.find(row => row.id === state.row);
   if (linked && fits(linked) && !lines.includes(linked)) lines.push(linked);
@@ -51,7 +57,7 @@ function table(column) {
         onclick: () => go({ variants: (folded ? [...unfolded, row.model] : unfolded.filter(m => m !== row.model)).join("|") }),
       }, `${others.length} variant${others.length > 1 ? "s" : ""}`),
     ];
-    const cells = columns.map(c => h("td", { class: c.id === "model" ? "name text" : c.text ? "text" : null }, c.id === "model" ? name : c.show(row, low, high, column)));
+    const cells = columns.map(c => (c.id === "model" ? h("th", { class: "name text", scope: "row" }, name) : h("td", { class: c.text ? "text" : null }, c.show(row, low, high, column))));
     const line = h("tr", {
       class: row.main ? "row" : "row variant", "data-row": row.id,
       // The whole line opens; its button is what keyboards and screen readers have.
@@ -59,26 +65,31 @@ function table(column) {
     }, cells);
     return open ? [line, h("tr", { class: "detail" }, h("td", { colspan: columns.length }, details(column, row)))] : [line];
   });
-  body.push(...absentRows(column, columns.length, asked));
+  const absent = absentRows(column, columns, asked);
+  body.push(...absent);
   return h("div", { class: linked ? "scroll open" : "scroll", tabindex: "0", role: "region", "aria-label": "table of models" },
-    h("table", { class: "board" }, h("thead", {}, head), h("tbody", {}, body)),
-    !lines.length && h("p", { class: "note" }, asked ? `No model's name has “${state.q}” in it.` : "No rows."));
+    h("table", { class: "board", "aria-label": column.name }, h("thead", {}, head), h("tbody", {}, body)),
+    !lines.length && !absent.length && h("p", { class: "note" }, asked ? `No name of a row has “${state.q}” in it.` : "No rows."));
 }
 
 const MOST_ABSENT = 4;  // more are behind a button
 
 // What campaigns ask for here and no record answers yet.
-function absentRows(column, width, asked) {
+function absentRows(column, columns, asked) {
   const fits = column.absent.filter(each => each.title.toLowerCase().includes(asked) || each.id.toLowerCase().includes(asked));
   if (state.tab === "pose" || !fits.length) return [];
   const shown = state.absent ? fits : fits.length > MOST_ABSENT ? fits.filter(each => each.state !== "not yet").slice(0, MOST_ABSENT) : fits;
-  const line = (name, ...said) => h("tr", { class: "absent" }, h("td", {}), h("td", { class: "name text" }, name), h("td", { class: "text", colspan: width - 2 }, said));
+  const hidden = fits.filter(each => !shown.includes(each)), states = [...new Set(hidden.map(each => each.state))];
+  // Below the model's name, wherever that stands, and across the columns after it.
+  const before = columns.findIndex(c => c.id === "model"), after = columns.length - before - 1;
+  const line = (name, ...said) => h("tr", { class: "absent" }, columns.slice(0, before).map(() => h("td", {})),
+    h("th", { class: "name text", scope: "row" }, name, after ? null : [" ", said]), after > 0 && h("td", { class: "text", colspan: after }, said));
   const lines = shown.map(each => line(each.title, each.state, h("span", { class: "quiet" }, ` asked for after ${column.milestone} clouds`)));
   if (fits.length > MOST_ABSENT) {
     const button = h("button", {
       type: "button", class: "plain", "data-key": "absent", "aria-expanded": String(Boolean(state.absent)), onclick: () => go({ absent: state.absent ? "" : "all" }, true),
-    }, state.absent ? "show fewer" : `${fits.length - shown.length} not yet`);
-    lines.push(line(button, !state.absent && `not yet: ${fits.filter(each => !shown.includes(each)).map(each => each.title).join("; ")}`));
+    }, state.absent ? "show fewer" : `${hidden.length} ${states.some(told => told !== "not yet") ? "more" : "not yet"}`);
+    lines.push(line(button, states.map(told => `${told}: ${hidden.filter(each => each.state === told).map(each => each.title).join("; ")}`).join(". ")));
   }
   return lines;
 }
@@ -98,21 +109,27 @@ function picker(column) {
     h("button", { type: "button", class: "plain", "data-key": "cols-reset", onclick: () => go({ cols: "" }) }, "as it was")));
 }
 
-// The table that is shown, as a file. Numbers are as they are in the records, shares in [0, 1].
+// The table that is shown, unfolded and unfiltered, as a file. Numbers are as the records have them, shares in [0, 1].
 const FILES = {
-  CSV: column => text(column, rows => rows.map(row => row.map(cell => (/[",\n]/.test(cell) ? `"${cell.replaceAll('"', '""')}"` : cell)).join(",")).join("\n")),
-  JSON: column => JSON.stringify({ column: column.name, about: column.about, rows: column.rows.map(({ more, ...row }) => row) }, null, 1),
+  CSV: column => text(column, rows => rows.map(row => row.map(csv).join(",")).join("\n")),
+  JSON: column => JSON.stringify({ column: column.name, about: column.about, rows: rowsOn(column).map(({ more, ...row }) => row) }, null, 1),
   LaTeX: column => text(column, ([head, ...rows]) => [
-    `% ${column.name}. ${column.about}`, `\\begin{tabular}{l${"r".repeat(head.length - 1)}}`, "\\hline",
-    ...[head, ...rows].map(row => `${row.map(latex).join(" & ")} \\\\`), "\\hline", "\\end{tabular}"].join("\n")),
+    `% ${column.name}. ${column.about}`.replace(/\s+/g, " "), `\\begin{tabular}{l${"r".repeat(head.length - 1)}}`, "\\hline",
+    ...[head, ...rows].map(row => `${row.map(latex).join(" & ").replace(/^[[*]/, "{}$&")} \\\\`), "\\hline", "\\end{tabular}"].join("\n")),
 };
-const LATEX = { "\\": "\\textbackslash{}", "&": "\\&", "%": "\\%", "$": "\\$", "#": "\\#", "_": "\\_", "{": "\\{", "}": "\\}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "–": "--", "±": "$\\pm$", "°": "$^\\circ$", "→": "$\\rightarrow$" };
-const latex = cell => cell.replace(/[\\&%$#_{}~^–±°→]/g, sign => LATEX[sign]);
+// A spreadsheet would run a text that begins as a formula does (as in tables/plain.py).
+const csv = cell => {
+  const written = typeof cell === "string" && /^[=+\-@\t\r]/.test(cell) ? `'${cell}` : String(cell);
+  return /[",\n\r]/.test(written) ? `"${written.replaceAll('"', '""')}"` : written;
+};
+const LATEX = { "\\": "\\textbackslash{}", "&": "\\&", "%": "\\%", "$": "\\$", "#": "\\#", "_": "\\_", "{": "\\{", "}": "\\}", "~": "\\textasciitilde{}", "^": "\\textasciicircum{}", "<": "\\textless{}", ">": "\\textgreater{}", "\"": "''", "×": "$\\times$", "→": "$\\rightarrow$", "–": "--", "±": "$\\pm$", "²": "$^2$", "³": "$^3$", "δ": "$\\delta$", "°": "$^\\circ$", "−": "$-$", "…": "\\dots{}" };
+// As in tables/latex.py: a letter that its usual fonts have not is told by its code point.
+const latex = cell => [...String(cell)].map(sign => LATEX[sign] ?? (sign.codePointAt(0) < 0x180 ? sign : `[U+${sign.codePointAt(0).toString(16).toUpperCase().padStart(4, "0")}]`)).join("");
 
 function text(column, write) {
-  const columns = shownColumns(column).filter(c => c.id !== "rank" || !state.q);
+  const columns = shownColumns(column);
   const value = (c, row) => (c.id === "model" ? row.title : c.value(row) ?? "");
-  return `${write([columns.map(c => c.id), ...sorted(column.rows, sorting(columns)).map(row => columns.map(c => String(value(c, row))))])}\n`;
+  return `${write([columns.map(c => c.id), ...sorted(rowsOn(column), sorting(columns)).map(row => columns.map(c => value(c, row)))])}\n`;
 }
 
 function downloads(column) {

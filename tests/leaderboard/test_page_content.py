@@ -23,7 +23,7 @@ from leaderboard.page.content import Found, content, kind
 from partialbench.benchmark.protocol.protocol import protocol
 from partialbench.benchmark.records import results
 from partialbench.errors import InputError
-from tests.leaderboard.records import add, predictions, record, small_board
+from tests.leaderboard.records import CLASSES, add, predictions, record, small_board
 
 
 def data_of(path):
@@ -85,6 +85,53 @@ def test_the_command_makes_the_row_again():
         "partialbench eval --model pointnet --data data/pm40-parametric --preset board "
         "--clouds 100k --seeds 2"
     )
+
+
+def test_the_command_names_the_row_s_seeds_its_two_settings_and_its_own_recipe():
+    stored = predictions(0.9, 0)
+    first = record("pointnet", stored)
+    seeds = tuple(dataclasses.replace(first, seed=seed) for seed in (0, 1, 4, 7, 8))
+    start = "partialbench eval --model pointnet --data data/pm40-parametric --preset board"
+    assert reproduce(seeds).splitlines() == [
+        f"{start} --clouds 100k{run}"
+        for run in (" --seeds 2", " --first-seed 4", " --seeds 2 --first-seed 7")
+    ]
+    # Trained on complete clouds, tested on partial ones of the same data set.
+    whole = dataclasses.replace(first.train_data, setting="rotated")
+    assert reproduce((dataclasses.replace(first, train_data=whole),)) == (
+        "partialbench eval --model pointnet --data data/pm40-parametric-rotated --test-data "
+        "data/pm40-parametric-partial --preset board --clouds 100k"
+    )
+    options = {"f": "a; recipe lr=1; precision x"}
+    (written,) = (f"{name}={json.dumps(value)}" for name, value in options.items())
+    made = record("pointnet", stored, options=options, variant=f"{written}; recipe lr=0.002")
+    assert reproduce((made,)) == f"{start} --clouds 100k --option '{written}' --recipe lr=0.002"
+
+
+def test_a_training_is_told_of_one_seed_and_its_log_at_the_clouds_it_was_written(tmp_path):
+    stored = predictions(0.7, 0)
+    for seed, seconds in ((3, 600.0), (4, 60.0)):
+        made = record("one", stored, seed)
+        clouds = made.training["clouds_seen"]
+        training = {
+            **made.training, "seconds": seconds, "clouds_per_second": clouds / seconds,
+            "curve": {"clouds_seen": [8 * clouds // 10, 9 * clouds // 10, clouds],
+                      "train_loss": [2.0, 1.0, 0.5], "validation_accuracy": [None, None, 0.7]},
+        }  # fmt: skip
+        results.write(tmp_path, dataclasses.replace(made, training=training), stored)
+    column = column_of(tmp_path)
+    (row,) = rows.rows_of(column, compare(column, tmp_path), tmp_path)
+    told, log = row["more"]["training"], row["more"]["log"]
+    assert (told["seed"], told["minutes"], told["seeds"]) == (3, 10, [3, 4])
+    assert told["per_second"] == pytest.approx(told["clouds"] / 60 / told["minutes"], rel=0.01)
+    assert row["minutes"] == told["minutes"]
+    assert [[c / told["clouds"], v] for c, v in log["training loss"]] == [
+        [pytest.approx(0.8), 2.0], [pytest.approx(0.9), 1.0], [1.0, 0.5],
+    ]  # fmt: skip
+    assert log["validation accuracy"] == []
+    # An older record says nothing of clouds: its lines are the ends of its epochs.
+    old = {"clouds_seen": 100, "curve": {"train_loss": [3.0, 2.0, 1.0, 0.5]}}
+    assert rows._log(old, "train_loss") == [[25, 3.0], [50, 2.0], [75, 1.0], [100, 0.5]]
 
 
 def test_a_power_law_is_found_again_and_told_with_its_interval():
@@ -206,6 +253,11 @@ def test_what_accuracy_costs_is_one_sentence(tmp_path):
     assert told.startswith("BEST, the most accurate, takes 4.0 M multiply-adds a cloud; ")
     assert "the cheapest, IT, 2.0 M multiply-adds at " in told
     assert told.endswith("Of the 2 others 1 cost more than the first.")
+    assert facts.cost(found[:2]) == [
+        "BEST, the most accurate, takes 4.0 M multiply-adds a cloud; LIGHTER 7.0 M multiply-adds."
+    ]
+    (told,) = facts.cost([found[0], found[2]])
+    assert told.endswith("; the cheapest, IT, 2.0 M multiply-adds at 31.0 %.")
     assert facts.cost(found[:1]) == []
 
 
@@ -221,3 +273,21 @@ def test_milestones_of_a_row_are_one_curve(tmp_path):
     far = curves["one"]["far"]
     assert far[1] < far[0] < far[2]
     assert not any(map(math.isnan, far))
+
+
+def test_no_figure_that_is_printed_is_rounded_before(tmp_path):
+    """48 of 173 are 27.7 %: rounded to 27.75 first, they would be 27.8."""
+    stored = predictions(1.0, 0, objects=173, views=1)
+    wrong = np.arange(173) >= 48
+    stored.classes[wrong, :2] = stored.classes[wrong, 1::-1]
+    results.write(tmp_path, record("one", stored), stored)
+    (page, *_) = build_leaderboard(tmp_path, tmp_path / "out")
+    ((row,),) = (column["rows"] for column in data_of(page)["columns"])
+    assert row["accuracy"] == 48 / 173
+    assert "names 27.7 % (" in data_of(page)["columns"][0]["facts"][0]
+    assert "| 27.7 |" in (tmp_path / "out" / "leaderboard.md").read_text()
+    classes = dict(row["more"]["per_class"])
+    right = {name: sum(~wrong[i::4]) / len(wrong[i::4]) for i, name in enumerate(CLASSES)}
+    assert {name: f"{100 * share:.1f}" for name, share in classes.items()} == {
+        name: f"{100 * share:.1f}" for name, share in right.items()
+    }

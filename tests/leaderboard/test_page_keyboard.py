@@ -133,3 +133,24 @@ def test_rows_that_are_not_there_are_told_and_unfold(page):
     assert page.evaluate("document.activeElement.dataset.key") == "absent"
     page.fill("#filter", "late3")
     assert absent.count() == 1
+
+
+def test_going_back_no_row_has_the_focus_beneath_the_head_of_the_table(page):
+    page.evaluate(
+        """() => {
+          const column = current(), first = column.rows[0];
+          column.rows.push(...Array.from({ length: 60 }, (_, i) => (
+            { ...first, id: `more${i}`, model: `more${i}`, title: `MORE ${i}`, accuracy: 0 })));
+          dispatchEvent(new HashChangeEvent("hashchange"));
+        }"""
+    )
+    page.locator("#table button.open").last.focus()
+    for _ in range(55):
+        page.keyboard.press("Shift+Tab")
+        assert page.evaluate(
+            """() => {
+              const it = document.activeElement, box = it.getBoundingClientRect();
+              const on = document.elementFromPoint(box.left + 3, box.top + box.height / 2);
+              return it === on || it.contains(on);
+            }"""
+        ), page.evaluate("document.activeElement.textContent")

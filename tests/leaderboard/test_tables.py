@@ -17,6 +17,7 @@ from leaderboard.board import Column, make_board, ranked
 from leaderboard.build import build_leaderboard
 from leaderboard.check import problems
 from leaderboard.comparison import compare
+from leaderboard.figures import draw
 from leaderboard.tables.latex import escape
 from leaderboard.words import engineering, model_input
 from partialbench.benchmark.protocol.protocol import protocol
@@ -332,3 +333,20 @@ def test_columns_that_differ_in_protocol_or_direction_name_their_figures_differe
     ]  # fmt: skip
     # What follows a file's last underscore is the column: the page looks it up by that.
     assert not any("_" in slug for slug in slugs)
+
+
+def test_no_figure_takes_the_place_of_another_and_every_axis_of_costs_has_numbers(tmp_path):
+    for i, data in enumerate(("my_data", "my-data", "My-Data", "データ")):
+        for name in ("abcdefg", "abcdefgh"):
+            add(tmp_path, name, 0.5, data=data, digest=f"d{i}", test_digest=f"t{i}")
+    board = make_board(results.read_folder(tmp_path))
+    drawn = draw.draw_all(board, [compare(column, tmp_path) for column in board], [], [], tmp_path)
+    named = [name for name in drawn if name.startswith("cost_")]
+    assert len(named) == len(board) == 4
+    for name in named:
+        (axes,) = drawn[name][1].axes
+        # 7 and 8 million: no power of ten, nor 2 or 5 times one, lies there.
+        assert [label.get_text() for label in axes.get_xticklabels()] == ["7.0 M", "8.0 M"]
+    assert draw._log_places([3e6, 7e8]) == [1e7, 1e8]
+    assert draw._log_places([3e6, 4e7]) == [5e6, 1e7, 2e7]
+    assert draw._log_places([4e6]) == [4e6]
