@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -214,7 +215,7 @@ def render(
     chosen: list[tuple[Path, str, str | None, float]] = [
         (out / cell.name, cell.setting, cell.sensor, cell.occluders) for cell in cells
     ]
-    broken = []
+    broken, told = [], []
     for folder, its_setting, its_sensor, its_occluders in chosen or [
         (out, setting.value, sensor, occluders)
     ]:
@@ -256,9 +257,13 @@ def render(
                 rows_per_shard=rows_per_shard,
                 retry_failed=retry_failed,
             )  # fmt: skip
-        _tell(folder, manifest, as_json)
+        told.append(_told(folder, manifest))
+        if not as_json:
+            print(_in_words(folder, manifest))
         if any(f["kind"] == "failed" for f in manifest.failures):
             broken.append((folder, manifest))
+    if as_json:
+        print(json.dumps(told[0] if grid is None else told, indent=1))
     if broken and not allow_failures:
         folder, manifest = broken[0]
         failed = sum(f["kind"] == "failed" for f in manifest.failures)
@@ -276,27 +281,33 @@ def _of_setting(setting: str, cells: Sequence[Cell], **options: Any) -> dict[str
     return {} if for_others and SETTINGS[setting].whole else given(**options)
 
 
-def _tell(folder: Path, manifest: Any, as_json: bool) -> None:
-    """What a finished folder holds, on stdout."""
-    from partialbench.dataset.card import paper_rows
+def _told(folder: Path, manifest: Any) -> dict[str, Any]:
+    """What a finished folder holds, for ``--json``; what was noticed of its objects, on stderr."""
     from partialbench.dataset.objects import notice_lines
 
     for line in notice_lines(folder):
         stderr.print(f"note: {line}", markup=False, soft_wrap=True)
     kinds = Counter(f["kind"] for f in manifest.failures)
-    rows = {split: manifest.rows(split) for split in manifest.splits()}
-    print_result(
-        {"folder": str(folder), "dataset_id": manifest.dataset_id, "rows": rows,
-         "failed": kinds["failed"], "rejected": kinds["rejected"], "digests": manifest.digests},
-        as_json,
+    return {
+        "folder": str(folder), "dataset_id": manifest.dataset_id,
+        "rows": {split: manifest.rows(split) for split in manifest.splits()},
+        "failed": kinds["failed"], "rejected": kinds["rejected"], "digests": manifest.digests,
+    }  # fmt: skip
+
+
+def _in_words(folder: Path, manifest: Any) -> str:
+    from partialbench.dataset.card import paper_rows
+
+    rejected = sum(f["kind"] == "rejected" for f in manifest.failures)
+    return (
         f"{manifest.dataset_id} in {folder}: "
         + ", ".join(
-            f"{n:,} {split} rows"
+            f"{manifest.rows(split):,} {split} rows"
             + (f" (the paper: {paper:,})" if (paper := paper_rows(manifest, split)) else "")
-            for split, n in rows.items()
+            for split in manifest.splits()
         )
-        + (f"; {kinds['rejected']} turned away by a rule" if kinds["rejected"] else ""),
-    )  # fmt: skip
+        + (f"; {rejected} turned away by a rule" if rejected else "")
+    )
 
 
 def _then(manifest: Any) -> str:
