@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import operator
-import reprlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,19 +17,9 @@ from numpy.typing import NDArray
 
 from partialbench.errors import InputError
 from partialbench.geometry.rotations import is_rotation
+from partialbench.paths import path as path
 
 Several = str | int | float | Path | Iterable[Any] | None
-
-
-def path(value: Any, name: str) -> Path:
-    """A path; ``name`` says in errors what it is of."""
-    try:
-        return Path(value)
-    except TypeError:
-        raise InputError(
-            f"{name} must be a path, a str or a pathlib.Path, got {reprlib.repr(value)} "
-            f"({type(value).__name__})"
-        ) from None
 
 
 def whole_number(value: Any, name: str, least: int | None = None) -> int:

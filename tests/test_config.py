@@ -41,6 +41,12 @@ def paint(
 
 
 @commands.command()
+def keep(out: Annotated[list[Path] | None, typer.Option()] = None) -> None:
+    """Keep."""
+    print([str(path) for path in out or []])
+
+
+@commands.command()
 def other() -> None:
     """Another."""
 
@@ -187,3 +193,39 @@ def test_help_has_a_short_name_and_a_heading_for_each_stage():
     assert done.exit_code == 0
     for words in ("Data", "Models", "Tables", "For others", "--install-completion"):
         assert words in done.output
+
+
+def test_an_empty_argument_is_no_argument_and_no_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for wrong, words in (
+        (("paint", ""), "an argument is empty"),
+        (("paint", "wall", "--try", ""), "--try is empty"),
+        (("paint", "wall", "--try="), "--try is empty"),
+        (("keep", "--out", "c", "--out", " "), "--out is empty"),
+        (("keep", "--save-config", ""), "--save-config is empty"),
+    ):
+        assert words in run(*wrong, code=2)
+    file = tmp_path / "keep.toml"
+    for content in ('out = ""', 'out = ["a", " "]'):
+        file.write_text(content)
+        assert "out is empty; leave it out, or write . for" in run(
+            "keep", "--config", "keep.toml", code=2
+        )
+    done = CliRunner().invoke(app, ["shapes", "--out", "", "--counts", "1,1"])
+    assert done.exit_code == 2
+    assert list(tmp_path.iterdir()) == [file]
+    assert run("keep", "--out", ".") == "['.']"
+    assert run("paint", "wall", "--try", "a=", "--try", "b= c")[:20] == "('wall', 3, 'red', ["
+
+
+def test_a_tilde_is_the_home_folder(tmp_path, monkeypatch):
+    """No shell has looked at ``--out=~/x``, or at a file."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "keep.toml").write_text('out = ["~/a", "b/~"]\n')
+    assert run("keep", "--config", "~/keep.toml") == f"['{tmp_path}/a', 'b/~']"
+    assert run("keep", "--out=~", "--save-config", "~/saved.toml") == f"['{tmp_path}']"
+    assert run("keep", "--config", "saved.toml") == f"['{tmp_path}']"
+    assert {path.name for path in tmp_path.iterdir()} == {"keep.toml", "saved.toml"}
+    done = CliRunner().invoke(commands, ["keep", "--out", "~no_such_user_here/x"])
+    assert "~no_such_user_here/x' begins with a home folder" in str(done.exception)

@@ -20,7 +20,9 @@ from partialbench import extras
 
 ROOT = Path(__file__).resolve().parents[1]
 RECORDS, WEIGHTS = ROOT / "leaderboard" / "records", ROOT / "partialbench" / "weights"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+CONTENT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PROJECT, BUILD = CONTENT["project"], CONTENT["tool"]["hatch"]["build"]["targets"]
+PACKAGES = {"partialbench", "renderers", "baselines", "papnet", "leaderboard"}
 IMPORTED_AS = {
     "mapbox-earcut": "mapbox_earcut", "dracopy": "DracoPy", "pillow": "PIL", "open3d-cpu": "open3d",
     "opencv-python-headless": "cv2",
@@ -62,6 +64,24 @@ def test_the_versions_agree():
     assert re.search(r"^version: (.+)$", citation, re.M).group(1) == partialbench.__version__
 
 
+def test_a_type_checker_takes_the_types_of_every_package():
+    for name in PACKAGES:
+        assert (ROOT / name / "py.typed").is_file(), name
+
+
+def test_a_source_archive_has_all_that_a_checkout_has():
+    """``make`` and the tests read more than the packages: .ci, benchmarks, mkdocs.yml."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("no checkout to compare with")
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    checkout = {name.partition("/")[0] for name in listed.split("\0") if name}
+    always = {"pyproject.toml", "README.md", "LICENSE", ".gitignore"}  # by hatchling itself
+    assert checkout - always - set(BUILD["sdist"]["include"]) == {".github"}
+    assert set(BUILD["sdist"]["include"]) <= checkout
+
+
 @pytest.mark.slow
 def test_wheel_and_source_archive_install_and_run(tmp_path):
     """The core alone, in a bare environment: it verifies, exports, and names what is missing."""
@@ -72,15 +92,16 @@ def test_wheel_and_source_archive_install_and_run(tmp_path):
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     (archive,) = (tmp_path / "dist").glob("*.tar.gz")
     held = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
-    packages = {"partialbench", "renderers", "baselines", "papnet", "leaderboard"}
-    assert {name for name in held if not name.endswith(".dist-info")} == packages
+    assert {name for name in held if not name.endswith(".dist-info")} == PACKAGES
+    typed = {f"{name}/py.typed" for name in PACKAGES}
+    assert typed <= set(zipfile.ZipFile(wheel).namelist())
     weights = [f"partialbench/weights/{path.name}" for path in WEIGHTS.iterdir() if path.is_file()]
     assert set(weights) <= set(zipfile.ZipFile(wheel).namelist())
     assert not any("leaderboard/weights" in n for n in zipfile.ZipFile(wheel).namelist())
     with tarfile.open(archive) as tar:
         assert not any("leaderboard/weights" in n for n in tar.getnames())
         inside = {name.split("/")[1] for name in tar.getnames() if "/" in name}
-    assert {"tests", "docs", "LICENSE", "README.md", "constraints.txt"} <= inside
+    assert set(BUILD["sdist"]["include"]) | {"LICENSE", "README.md", "pyproject.toml"} <= inside
 
     from partialbench.dataset.build import build
     from partialbench.dataset.executors import InlineExecutor

@@ -34,6 +34,24 @@ def sphere():
     return np.array(trimesh.creation.icosphere(3).vertices)
 
 
+def test_a_path_is_not_empty_and_a_tilde_is_the_home(tmp_path, monkeypatch, sphere):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    np.save(tmp_path / "ball.npy", sphere)
+    view = pb.render_view("~/ball.npy", SEEN, num_points=64)
+    assert np.array_equal(view.points, pb.render_view(sphere, SEEN, num_points=64).points)
+    assert pb.show(view).save("~/page.html") == tmp_path / "page.html"
+    assert not (tmp_path / "~").exists()
+    for call in (pb.render_view, pb.load_dataset, pb.show, pb.load_model, pb.leaderboard):
+        with pytest.raises(InputError, match=r"is empty, got ''; write '\.' for"):
+            call("")
+    with pytest.raises(InputError, match="~no_such_user_here/x' begins with a home folder"):
+        pb.load_dataset("~no_such_user_here/x")
+    for value in (3, None, b"x"):
+        with pytest.raises(InputError, match="out must be a path, a str or a pathlib"):
+            given.path(value, "out")
+
+
 @pytest.mark.parametrize(
     ("value", "number"), [(0, 0), (np.int64(7), 7), (np.uint8(3), 3), (torch.tensor(5), 5)]
 )

@@ -95,4 +95,5 @@ def leaderboard(
     make = registry.load(registry.BOARD_FILES)
     tested = [given.path(one, "a data folder") for one in given.several(data, "data")]
     places = [given.path(one, "a folder") for one in given.several(look_in, "look_in")]
-    return Board(make(results, check, tested, figures, on_progress, places))
+    folder = given.path(results, "the folder of the results")
+    return Board(make(folder, check, tested, figures, on_progress, places))

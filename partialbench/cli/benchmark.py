@@ -322,7 +322,7 @@ def predict(
         if as_json:
             print(json.dumps(_answer_data(one, found)), flush=True)
         elif isinstance(found, PartialbenchError):
-            stderr.print(f"error: {found}", markup=False)
+            stderr.print(f"error: {found}", markup=False, soft_wrap=not stderr.is_terminal)
         else:
             print(f"{one}: {found.class_name} {found.confidence:.1%}", flush=True)
     if failed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections import Counter
 from enum import StrEnum
@@ -227,7 +228,7 @@ def render(
             grids.write(out, cells)
     if words := getattr(plans[0].job.source, "listing", ""):
         say_source(words)
-    broken = []
+    broken, told = [], []
     for plan in plans:
         with continued_by("the same command"), build_bar(stderr) as on_progress:
             manifest = run_plan(
@@ -235,9 +236,13 @@ def render(
                 # One worker too is a process of its own: a crash in it ends no run.
                 make_executor=partial(process_pool, workers), retry_failed=retry_failed,
             )  # fmt: skip
-        _tell(plan.out, manifest, as_json)
+        told.append(_told(plan.out, manifest))
+        if not as_json:
+            print(_in_words(plan.out, manifest))
         if any(f["kind"] == "failed" for f in manifest.failures):
             broken.append((plan.out, manifest))
+    if as_json:
+        print(json.dumps(told[0] if grid is None else told, indent=1))
     if broken and not allow_failures:
         folder, manifest = broken[0]
         failed = sum(f["kind"] == "failed" for f in manifest.failures)
@@ -248,27 +253,33 @@ def render(
         )
 
 
-def _tell(folder: Path, manifest: Any, as_json: bool) -> None:
-    """What a finished folder holds, on stdout."""
-    from partialbench.dataset.card import paper_rows
+def _told(folder: Path, manifest: Any) -> dict[str, Any]:
+    """What a finished folder holds, for ``--json``; what was noticed of its objects, on stderr."""
     from partialbench.dataset.objects import notice_lines
 
     for line in notice_lines(folder):
         stderr.print(f"note: {line}", markup=False, soft_wrap=True)
     kinds = Counter(f["kind"] for f in manifest.failures)
-    rows = {split: manifest.rows(split) for split in manifest.splits()}
-    print_result(
-        {"folder": str(folder), "dataset_id": manifest.dataset_id, "rows": rows,
-         "failed": kinds["failed"], "rejected": kinds["rejected"], "digests": manifest.digests},
-        as_json,
+    return {
+        "folder": str(folder), "dataset_id": manifest.dataset_id,
+        "rows": {split: manifest.rows(split) for split in manifest.splits()},
+        "failed": kinds["failed"], "rejected": kinds["rejected"], "digests": manifest.digests,
+    }  # fmt: skip
+
+
+def _in_words(folder: Path, manifest: Any) -> str:
+    from partialbench.dataset.card import paper_rows
+
+    rejected = sum(f["kind"] == "rejected" for f in manifest.failures)
+    return (
         f"{manifest.dataset_id} in {folder}: "
         + ", ".join(
-            f"{n:,} {split} rows"
+            f"{manifest.rows(split):,} {split} rows"
             + (f" (the paper: {paper:,})" if (paper := paper_rows(manifest, split)) else "")
-            for split, n in rows.items()
+            for split in manifest.splits()
         )
-        + (f"; {kinds['rejected']} turned away by a rule" if kinds["rejected"] else ""),
-    )  # fmt: skip
+        + (f"; {rejected} turned away by a rule" if rejected else "")
+    )
 
 
 def _then(manifest: Any) -> str:

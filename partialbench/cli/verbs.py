@@ -15,6 +15,7 @@ import copy
 import functools
 import inspect
 import json
+import re
 import tomllib
 import typing
 from collections.abc import Callable, Mapping
@@ -23,11 +24,33 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
+from partialbench import paths
 from partialbench.registry import close_matches
 
 _OWN = ("config", "save_config", "help")
 _GIVEN = ("COMMANDLINE", "DEFAULT_MAP", "ENVIRONMENT")
+
+
+EMPTY = "is empty; leave it out, or write . for the current folder"
+
+
+class _Command(TyperCommand):
+    """A command that refuses an argument that is empty.
+
+    Mostly it is a variable of the shell that is not set. Taken for what it says, ``--out ""`` is
+    the current folder, and ``--classes ""`` no choice of classes, so that all are made.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for before, argument in zip(["", *args], args, strict=False):
+            if not argument.strip() or re.fullmatch(r"--[\w-]+=\s*", argument):
+                what = argument.rstrip("= ") or (
+                    before if before.startswith("-") else "an argument"
+                )
+                raise typer.BadParameter(f"{what} {EMPTY}", ctx=ctx)
+        return super().parse_args(ctx, args)
 
 
 class Verbs(typer.Typer):
@@ -49,7 +72,7 @@ class Verbs(typer.Typer):
         headings = {name: title for title, some in (panels or {}).items() for name in some.split()}
         if self.panel:
             kwargs.setdefault("rich_help_panel", self.panel)
-        register = super().command(*args, **kwargs)
+        register = super().command(*args, cls=_Command, **kwargs)
 
         def decorate(function: Callable) -> Callable:
             register(_configured(function, headings))
@@ -71,8 +94,8 @@ def _configured(function: Callable, headings: Mapping[str, str]) -> Callable:
         if save_config is not None:
             from partialbench.dataset.shards import write_atomically  # NumPy, not by every --help
 
-            write_atomically(save_config, as_toml(context).encode())
-        return function(**options)
+            write_atomically(_at_home(save_config), as_toml(context).encode())
+        return function(**{name: _at_home(value) for name, value in options.items()})
 
     own = {"context": typer.Context, "config": Config, "save_config": SaveConfig}
     options = [parameter.replace(annotation=hints[name]) for name, parameter in parameters.items()]
@@ -86,6 +109,13 @@ def _configured(function: Callable, headings: Mapping[str, str]) -> Callable:
     run.__annotations__ = {**hints, **own}
     run.__signature__ = inspect.Signature(options + added)  # type: ignore[attr-defined]
     return run
+
+
+def _at_home(value: Any) -> Any:
+    """Paths as ``paths.path`` has them: no shell may have looked at a leading "~"."""
+    if isinstance(value, list):
+        return [_at_home(one) for one in value]
+    return paths.path(value, "the path") if isinstance(value, Path) else value
 
 
 def _shown(hint: Any, heading: str | None, with_default: bool) -> Any:
@@ -105,6 +135,7 @@ def _read(context: typer.Context, path: Path | None) -> Path | None:
     """Makes what the file says the defaults of the command's options."""
     if path is None:
         return None
+    path = paths.path(path, "--config")
     try:
         content = tomllib.loads(path.read_text("utf-8"))
     except OSError as error:
@@ -134,6 +165,9 @@ def _options(content: Mapping[str, Any], context: typer.Context, path: Path) -> 
         several = getattr(parameter, "multiple", False)
         if (isinstance(value, list) and not several) or isinstance(value, dict):
             raise typer.BadParameter(f"{path}: {key} takes one value, got {value!r}")
+        if any(isinstance(one, str) and not one.strip()
+               for one in (value if isinstance(value, list) else [value])):  # fmt: skip
+            raise typer.BadParameter(f"{path}: {key} {EMPTY}")
         found[parameter.name] = [value] if several and not isinstance(value, list) else value
     return found
 

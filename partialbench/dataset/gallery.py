@@ -88,7 +88,8 @@ def gallery(
     """
     shards = getattr(data, "shards", data)
     if isinstance(shards, str | Path):
-        stored = int(manifests.load(Path(shards)).configuration["points"])
+        shards = given.path(shards, "the data folder")
+        stored = int(manifests.load(shards).configuration["points"])
         split = "train" if split is None else split
         shards = ShardDataset(shards, split, min(POINTS, stored))
     own = getattr(shards, "split", None)  # of a data set that is open

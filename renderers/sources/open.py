@@ -5,10 +5,10 @@ from __future__ import annotations
 import inspect
 import zipfile
 from os import PathLike
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
-from partialbench import registry
+from partialbench import given, registry
 from partialbench.dataset.cloud_files import FORMATS
 from partialbench.dataset.ply import header_is_whole, is_mesh
 from partialbench.dataset.sources import Source
@@ -44,7 +44,7 @@ def open_source(
     text = str(path_or_name)
     if text in registry.SOURCES:
         return _make(registry.SOURCES[text], text, options, described)
-    path = Path(path_or_name)
+    path = given.path(path_or_name, "the source")
     if not path.exists():
         near = registry.close_matches(text, registry.SOURCES)
         raise InputError(f"{text!r} is neither a path that exists nor the name of a source{near}")

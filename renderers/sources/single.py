@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -44,7 +43,7 @@ def read_shape(
         if not len(points):
             raise InputError("the cloud has no points")
         return _cloud(points, up, "the cloud")
-    path = Path(shape)
+    path = given.path(shape, "the shape")
     suffix, name = path.suffix.lower(), str(path)
     if not path.is_file():
         if path.is_dir():

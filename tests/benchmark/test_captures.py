@@ -241,7 +241,13 @@ def test_one_bad_file_of_a_folder_does_not_end_it(weights, tmp_path, rng):
     assert [line["file"].rpartition("/")[2] for line in lines] == ["a.npy", "b.npy", "c.ply",
                                                                    "d.xyz"]  # fmt: skip
     assert ["error" in line for line in lines] == [False, True, True, False]
-    for name in ("b.npy", "c.ply"):
+    in_words = CliRunner().invoke(app, command)
+    assert in_words.exit_code == 1
+    for name in ("b.npy", "c.ply"):  # an error is one line, however long its path
+        assert any(
+            line.startswith("error: ") and str(folder / name) in line
+            for line in in_words.stderr.splitlines()
+        ), in_words.stderr
         (folder / name).unlink()
     ran = CliRunner().invoke(app, command)
     assert ran.exit_code == 0

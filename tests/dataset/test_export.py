@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import sys
 import tarfile
 
 import numpy as np
@@ -112,6 +114,14 @@ def test_the_same_data_give_the_same_tar_files(folder, tmp_path):
         names = tar.getnames()
     assert names[0] == "test-00000-000000.cls"
     assert len(names) == len(set(names))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes there")
+def test_a_folder_whose_name_is_no_text_is_exported(folder, tmp_path):
+    """As it is under the locale C: Arrow takes paths in UTF-8 alone."""
+    out = tmp_path / os.fsdecode(b"caf\xe9")
+    export(folder, "parquet", out)
+    assert check_export(out) == []
 
 
 def test_an_interrupted_export_is_seen_and_goes_on_where_it_stopped(folder, tmp_path):

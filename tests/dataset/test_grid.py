@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -208,6 +209,14 @@ def test_a_grid_is_rendered_and_tested(tmp_path):
     grown = str(tmp_path / "grid")
     done = CliRunner().invoke(app, [*render, grown, "--grid", str(tmp_path / "grid.toml")])
     assert done.exit_code == 0, done.output
+    again = CliRunner().invoke(
+        app, [*render, grown, "--grid", str(tmp_path / "grid.toml"), "--json"]
+    )
+    told = json.loads(again.stdout)  # one document, of all cells
+    assert [Path(one["folder"]).name for one in told] == [
+        c.name for c in grid.read(tmp_path / "grid")
+    ]
+    assert all(one["rows"] == {"test": 40} for one in told)
     sets = {c.name: ShardDataset(tmp_path / "grid" / c.name, "test", 64)
             for c in grid.read(tmp_path / "grid")}  # fmt: skip
     first, *others = sets.values()

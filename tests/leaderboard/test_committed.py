@@ -58,6 +58,8 @@ def test_the_findings_answer_what_the_records_answer():
 
 
 def test_the_weights_of_the_best_row_are_those_of_its_record():
+    if (ROOT / "PKG-INFO").is_file():
+        pytest.skip("a source archive leaves them out")
     folder = ROOT / "leaderboard" / "weights"
     files = list(folder.glob(f"*{weights.SUFFIX}"))
     rows = {record.weights_sha256: record for record in results.read_folder(RECORDS)}

@@ -56,6 +56,23 @@ def test_wrong_arguments_are_refused_before_anything_is_written(tmp_path: Path) 
         export_tree(tmp_path / "file", (1, 1), classes=["chair"])
 
 
+def test_objects_of_other_counts_are_not_mixed_into_one_tree(tmp_path: Path) -> None:
+    """They are numbered on from the training objects: cup_0002 of one is cup_0003 of the other."""
+    export_tree(tmp_path, (1, 1), classes=["cup"])
+    kept = (tmp_path / "cup/test/cup_0002.off").read_bytes()
+    with pytest.raises(InputError, match=r"test/cup_0002\.off is of an export with other --counts"):
+        export_tree(tmp_path, (2, 1), classes=["chair", "cup"])
+    assert sorted(p.name for p in tmp_path.rglob("*.off")) == ["cup_0001.off", "cup_0002.off"]
+    export_tree(tmp_path, (2, 1), classes=["chair"])  # another class has numbers of its own
+    (tmp_path / "cup/test/cup_0002.off").write_text("cut short")
+    (tmp_path / "cup/test/mine_0007.off").write_text("")
+    assert export_tree(tmp_path, (1, 1), ["off", "obj"], ["cup"]) == 4  # again, and goes on
+    assert (tmp_path / "cup/test/cup_0002.off").read_bytes() == kept
+    other = export_tree(tmp_path / "other", (2, 1), classes=["cup"])
+    assert other == 3
+    assert (tmp_path / "other/cup/test/cup_0003.off").read_bytes() == kept
+
+
 def test_the_sheet_shows_different_variants() -> None:
     family = FAMILIES["lamp"]
     shown = [family.draw(i).variant for i in varied(family, len(family.variants))]

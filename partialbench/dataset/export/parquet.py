@@ -62,15 +62,18 @@ def table_fields(origin: Origin) -> list[tuple[str, np.dtype, tuple[int, ...], s
 def _write(origin: Origin, entry: ShardEntry, path: Path) -> None:
     parquet = extras.load("pyarrow.parquet")
     columns = origin.columns(entry)
-    parquet.write_table(
-        as_table(columns, origin.manifest.class_names),
-        path,
-        # Coordinates do not compress; images do, by a lot.
-        compression="zstd" if "depth" in columns else "none",
-        use_dictionary=["class_name", "symmetry"],
-        write_statistics=False,
-        row_group_size=ROWS_PER_GROUP,
-    )
+    table = as_table(columns, origin.manifest.class_names)
+    # Opened here: Arrow takes no path that is not UTF-8, as one is under the locale C.
+    with open(path, "wb") as file:
+        parquet.write_table(
+            table,
+            file,
+            # Coordinates do not compress; images do, by a lot.
+            compression="zstd" if "depth" in columns else "none",
+            use_dictionary=["class_name", "symmetry"],
+            write_statistics=False,
+            row_group_size=ROWS_PER_GROUP,
+        )
 
 
 def as_table(columns: Columns, class_names: list[str]) -> pyarrow.Table:
