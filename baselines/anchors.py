@@ -43,7 +43,8 @@ def anchors(points: Tensor, count: int, quirks: frozenset[str] = frozenset()) ->
     """Indices (B,count) of points of centred clouds (B,N,3), each far from those before it.
 
     They start at the point farthest from the centroid and none is chosen twice, so that which
-    points they are depends neither on the cloud's pose nor on the order of its points. The first m
+    points they are depends neither on the cloud's pose nor on the order of its points; but of
+    copies of points, which come last, the first ones in order are chosen. The first m
     are the anchors that sampling the anchors again would choose.
 
     Args:

@@ -11,6 +11,12 @@ _ANCHORS = (
     "starts at index 0, and there the order of a cloud's points moves its logits by 45–115 % of "
     "what clouds differ by (quirks=start)"
 )
+_COPIES = (
+    "where a cloud has fewer distinct points than are sampled (half of its points) copies are, "
+    "and the order of the points says which: of 24 views of ModelNet40 shapes of 384 points the "
+    "four with 111 to 191 distinct ones got, in another order, logits of random weights off by up "
+    "to 0.21 of the largest; of the others one, at a tie"
+)
 _ORIGIN = (
     "points near the origin are sampled as others; the release's kernel takes those with |p|² ≤ "
     "0.001 for padding (quirks=origin)"
@@ -61,6 +67,7 @@ CARDS: tuple[ModelCard, ...] = (
             "abc9176; before, and in the paper's figures, by that of the whole batch, with which "
             "a cloud's answer depended on its company",
             _SMALL,
+            _COPIES,
         ),
         deviations=(_ANCHORS, _ORIGIN),
     ),
@@ -98,6 +105,7 @@ CARDS: tuple[ModelCard, ...] = (
             "published radii, of clouds in the unit ball: of 256 points many balls of the first "
             "level hold few",
             "half of the points are kept at each level, however many a cloud has, as released",
+            _COPIES,
         ),
         deviations=(
             _ANCHORS,
@@ -138,6 +146,7 @@ CARDS: tuple[ModelCard, ...] = (
             "the release's first model: attention sees no positions, queries and keys share their "
             "weights and are not scaled",
             _SMALL,
+            _COPIES,
         ),
         deviations=(_ANCHORS, _ORIGIN),
     ),
@@ -236,7 +245,8 @@ CARDS: tuple[ModelCard, ...] = (
             "training (quirks=dropout)",
             "vectors shorter than 0.3 fade (ε, published 10⁻⁶): else one near zero points where "
             "rounding says, and at random weights 35 % of 96 turned clouds got logits off by more "
-            "than 10⁻⁴ of the largest, by up to 0.014; so none, by up to 6·10⁻⁵ (quirks=epsilon)",
+            "than 10⁻⁴ of the largest, by up to 0.014; so none, by up to 6·10⁻⁵ (quirks=epsilon). "
+            "Of 104 views of ModelNet40 shapes two did, by up to 0.0013",
             "clouds are centred inside the model: a shift of 0.1 moves the release's logits by 1.4 "
             "times what clouds differ by",
             "PointNet++ in place of a PointNet without T-Nets (backbone=released, 697,478 "

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from baselines.points import as_weights
 from partialbench import registry
+from partialbench.benchmark.inputs import needs_normals
 from partialbench.benchmark.models import as_prediction
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
@@ -27,7 +28,8 @@ class Backbone(nn.Module):
         released: makes the publication's network, which takes clouds as they are.
 
     Raises:
-        InputError: of the name or the options, see ``registry.create``.
+        InputError: of the name or the options, see ``registry.create``, or a network that takes
+            normals.
     """
 
     def __init__(
@@ -45,6 +47,11 @@ class Backbone(nn.Module):
             self.network = released(num_classes)
         else:
             self.network = registry.create(name, num_classes, **options)
+            if needs_normals(self.network):
+                raise InputError(
+                    f"backbone {name!r} takes normals, which a frame does not hand on; take one of "
+                    f"points alone"
+                )
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) in the frame → logits (B,K) and the network's own penalty.

@@ -28,6 +28,7 @@ from baselines.vector_neurons import (
     vector_knn,
 )
 from baselines.vn_dgcnn import vector_layer
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -70,7 +71,7 @@ class FrameNet(nn.Module):
 
     def __init__(self, k: int, dropout: float, eps: float) -> None:
         super().__init__()
-        self.k = k
+        self.k = given.whole_number(k, "k", least=1)
         self.edge = VectorEdgeConv(1, 21, 0.0, cross=True, eps=eps)
         self.first = VectorReLU(21, 21, 0.0, eps=eps)
         self.norm = VectorBatchNorm(21, eps)
@@ -99,7 +100,7 @@ class CanonicalVN(nn.Module):
         quirks: what of ``QUIRKS`` to do as published, joined by "+".
 
     Raises:
-        InputError: a negative prior, an unknown quirk or backbone.
+        InputError: a negative prior, no neighbour, an unknown quirk or backbone.
     """
 
     def __init__(

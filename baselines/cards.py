@@ -250,7 +250,9 @@ CARDS: tuple[ModelCard, ...] = (
             "32 nearest neighbours, one shared layer 4-64 and the maximum make a point's feature",
             "PointNet++ SSG groups by coordinates but no layer sees them; its recipe",
             "sampling starts at the point farthest from the centroid and balls keep their nearest "
-            "points, so that neither pose nor order matters",
+            "points, so that neither pose nor order matters; but where a cloud has fewer distinct "
+            "points than are sampled (192 of 384), the first of them is taken again, and another "
+            "order moved the logits of random weights by up to 0.1 of the largest",
         ),
         deviations=(
             "the defined φ jumps where two neighbours' directions meet. So that rounding does not "
@@ -290,6 +292,8 @@ CARDS: tuple[ModelCard, ...] = (
             "the published input is ray-cast from meshes; a cloud gives the upper envelope of one "
             "bump per point, as high as the point is far, at half height 5.6° off its direction",
             "weighted average pooling, the release's reproducing configuration",
+            "a shape and its mirror image get one answer, up to what the grid leaves, as turned "
+            "ones do, and as published: zonal filters are mirror images of themselves",
         ),
         deviations=(
             "batch norm momentum 0.1 in torch's sense, the release's default is 0.01: runs under "

@@ -17,6 +17,7 @@ from baselines.maximum import kept_max
 from baselines.points import knn, normalise
 from baselines.published import tensors
 from baselines.shared_mlp import FullPrecision, Normed, NormLinear, activated, autocast, linear
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 
 SLOPE = 0.2
@@ -51,11 +52,14 @@ class DGCNN(nn.Module):
 
     Args:
         k: neighbours, the point itself included.
+
+    Raises:
+        InputError: no neighbour.
     """
 
     def __init__(self, num_classes: int, k: int = 20) -> None:
         super().__init__()
-        self.k = k
+        self.k = given.whole_number(k, "k", least=1)
         self.convs = nn.ModuleList(
             [EdgeConv(3, 64), EdgeConv(64, 64), EdgeConv(64, 128), EdgeConv(128, 256)]
         )

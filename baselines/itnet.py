@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from baselines.pointnet import TransformNet
 from baselines.pointnet2 import PointNet2
 from baselines.points import as_weights, normalise
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 
 
@@ -29,11 +30,14 @@ class ITNetPointNet2(nn.Module):
 
     Args:
         iterations: 2, as the release classifies.
+
+    Raises:
+        InputError: no iteration, which would be PointNet++ with weights that nothing trains.
     """
 
     def __init__(self, num_classes: int, iterations: int = 2) -> None:
         super().__init__()
-        self.iterations = iterations
+        self.iterations = given.whole_number(iterations, "iterations", least=1)
         self.transform = TransformNet(3, torch.tensor([1.0, 0, 0, 0, 0, 0, 0]))
         self.classifier = PointNet2(num_classes)
 

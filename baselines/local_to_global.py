@@ -20,7 +20,7 @@ from torch.func import functional_call
 
 from baselines.camera import camera_ray
 from baselines.joined import JoinedMax
-from baselines.lra import dot, facing, local_axes, unit
+from baselines.lra import as_normals, dot, facing, local_axes, require_signs, unit
 from baselines.points import (
     distances,
     farthest_from_centre,
@@ -31,6 +31,7 @@ from baselines.points import (
 )
 from baselines.published import chosen_quirks, tensors
 from baselines.shared_mlp import NormLinear
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -87,7 +88,7 @@ def neighbourhoods(points: Tensor, k: int) -> tuple[Tensor, Tensor, Tensor]:
     number = points.shape[1]
     if number <= k:
         raise InputError(f"{k} neighbours need clouds of at least {k + 1} points, got {number}")
-    x = normalise(points.double(), radius=1.0)
+    x = normalise(points, radius=1.0, dtype=torch.float64)
     most = min(max(MEAN_NEIGHBOURS, k + 1), number)
     near = distances(x, x).topk(most, dim=-1, largest=False).indices
     return x, near, gather(x, near) - x[:, :, None]
@@ -276,7 +277,7 @@ class LocalToGlobal(nn.Module):
         quirks: names of ``QUIRKS`` joined by "+": what to do as the release does.
 
     Raises:
-        InputError: an option that is not known.
+        InputError: no neighbour, or an option that is not known or, beside another, does nothing.
     """
 
     def __init__(
@@ -285,9 +286,10 @@ class LocalToGlobal(nn.Module):
         super().__init__()
         if orient not in ("centroid", "camera"):
             raise InputError(f"orient must be centroid or camera, got {orient!r}")
-        self.k, self.orient = k, orient
+        self.k, self.orient = given.whole_number(k, "k", least=1), orient
         self.quirks = chosen_quirks(quirks, QUIRKS)
-        self.trunk = Trunk(k, self.quirks)
+        require_signs(orient, self.quirks)
+        self.trunk = Trunk(self.k, self.quirks)
         self.place = NormLinear(32, 64, bias=False)
         self.conv = PoseConv(128, 256, 64)
         self.embed = normed(512, 1024)
@@ -314,7 +316,7 @@ class LocalToGlobal(nn.Module):
         else:
             axes = oriented_axes(points, x, relative, self.orient)
         mean = unit(relative[:, :, :MEAN_NEIGHBOURS].mean(dim=2))
-        normals = axes if normals is None else unit(normals.double())
+        normals = axes if normals is None else as_normals(normals, points)
         others, features = near[..., 1 : self.k + 1], point_features(x, axes)
         return Geometry(x, self.in_own_axes(x), axes, normals, mean, others, features)
 

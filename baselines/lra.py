@@ -9,6 +9,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from partialbench.errors import InputError
+
+LEAST_OF_AXES = 4
+"""Neighbours, the point itself included, that say which way is thinnest: the farthest has no weight
+and the point itself no length, and of fewer than two others every axis across is as thin."""
+
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Scalar products of (…,3) vectors."""
@@ -19,6 +25,35 @@ def unit(vectors: Tensor) -> Tensor:
     """Vectors (…,3) of length 1; those of no length remain so."""
     length = torch.linalg.vector_norm(vectors, dim=-1, keepdim=True)
     return vectors / length.masked_fill(length == 0, 1)
+
+
+def as_normals(normals: Tensor, points: Tensor) -> Tensor:
+    """The normals of clouds (B,N,3), (B,N,3) of any length, as float64 of length 1 or 0.
+
+    Raises:
+        InputError: for another shape or dtype, or normals that are not finite; on other devices
+            than the CPU torch's own error for the last.
+    """
+    if normals.shape != points.shape or not normals.is_floating_point():
+        raise InputError(
+            f"normals must be a floating tensor of the clouds' own shape {tuple(points.shape)}, "
+            f"one for each point; got {tuple(normals.shape)} {normals.dtype}"
+        )
+    finite = normals.isfinite().all()
+    if normals.device.type != "cpu":
+        torch._assert_async(finite, "normals are not finite")
+    elif not bool(finite):
+        count = int((~normals.isfinite().all(dim=-1)).sum())
+        raise InputError(f"{count} of {normals[..., 0].numel()} normals are NaN or infinite")
+    return unit(normals.double())
+
+
+def require_signs(orient: str, quirks: frozenset[str]) -> None:
+    """Raises ``InputError`` where axes are to be turned to the camera and to be left unturned."""
+    if orient == "camera" and "signs" in quirks:
+        raise InputError(
+            "orient=camera turns local axes, which quirks=signs leaves as they come; give one"
+        )
 
 
 @torch.no_grad()

@@ -30,6 +30,7 @@ from baselines.local_to_global import (
 from baselines.lra import unit
 from baselines.points import gather, knn
 from baselines.shared_mlp import NormLinear
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -99,15 +100,15 @@ class PaRIConv(nn.Module):
         orient: "centroid": local axes point away from it; "camera": towards the camera.
 
     Raises:
-        InputError: an orientation that is not known.
+        InputError: no neighbour, or an orientation that is not known.
     """
 
     def __init__(self, num_classes: int, k: int = 20, orient: str = "centroid") -> None:
         super().__init__()
         if orient not in ("centroid", "camera"):
             raise InputError(f"orient must be centroid or camera, got {orient!r}")
-        self.k, self.orient = k, orient
-        self.layers = Layers(k)
+        self.k, self.orient = given.whole_number(k, "k", least=1), orient
+        self.layers = Layers(self.k)
         self.embed = normed(sum(WIDTHS), 1024)
         self.head = nn.Sequential(
             nn.Linear(2048, 512, bias=False),

@@ -24,7 +24,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def _geometry(function: Callable[P, T]) -> Callable[P, T]:
+def geometric(function: Callable[P, T]) -> Callable[P, T]:
     """No gradient and no autocast: a bfloat16 distance would choose other neighbours."""
 
     @wraps(function)
@@ -48,30 +48,66 @@ def autocast_dtype(values: Tensor) -> torch.dtype:
     return torch.get_autocast_dtype(device) if on else values.dtype
 
 
-def normalise(points: Tensor, radius: float = RADIUS) -> Tensor:
+SMALLEST = 1e-12
+"""Extent below which a cloud is none: what is left of coordinates then is their rounding."""
+
+
+def normalise(points: Tensor, radius: float = RADIUS, dtype: torch.dtype | None = None) -> Tensor:
     """Subtracts each cloud's mean point and scales its largest norm to ``radius``.
 
     Args:
         points: (B,N,3) floating, any frame and unit.
+        dtype: in which it is done and returned; by default in that of the points, or float32 if
+            they are of a half precision.
 
     Returns:
-        (B,N,3) float32, or float64 if the input is. Points that all coincide become zeros.
+        (B,N,3). Points that all coincide become zeros.
 
     Raises:
-        InputError: for another shape or dtype.
+        InputError: for another shape or dtype, or a cloud with NaN, infinite or overflowing
+            coordinates or of an extent that is nothing but rounding. On other devices than the CPU
+            torch's own error, when the device finds it.
     """
+    if not isinstance(points, Tensor):
+        raise InputError(
+            f"clouds must be a floating (B,N,3) tensor, got a {type(points).__name__}; "
+            f"torch.as_tensor makes one"
+        )
     if points.ndim != 3 or points.shape[-1] != 3 or not points.is_floating_point():
         raise InputError(
             f"clouds must be a floating (B,N,3) tensor, got {tuple(points.shape)} {points.dtype}"
         )
-    if not points.shape[1]:
+    if not points.numel():
         raise InputError(f"clouds must have points, got an empty tensor {tuple(points.shape)}")
     # In double precision the mean does not depend on the order of the points, so neither does
     # anything computed from the centred cloud.
-    points = full_precision(points)
+    points = full_precision(points) if dtype is None else points.to(dtype)
     centred = (points.double() - points.double().mean(dim=1, keepdim=True)).to(points.dtype)
     largest = torch.linalg.vector_norm(centred, dim=-1).amax(dim=1)
-    return centred * (radius / largest.clamp_min(1e-12))[:, None, None]
+    _require_extent(largest)
+    return centred * (radius / largest.clamp_min(SMALLEST))[:, None, None]
+
+
+@torch.no_grad()
+def _require_extent(largest: Tensor) -> None:
+    """Raises for clouds whose largest norm (B,) about their mean says that they are none."""
+    # NaN fails every comparison: what holds of a sound cloud is asked for.
+    sound = (largest == 0) | ((largest >= SMALLEST) & (largest < torch.inf))
+    if largest.device.type != "cpu":
+        torch._assert_async(sound.all(), "a cloud has no finite coordinates or no extent")
+    elif not bool(sound.all()):
+        which = int((~sound).nonzero()[0, 0])
+        found = float(largest[which])
+        if found < SMALLEST:
+            raise InputError(
+                f"cloud {which} of the batch reaches {found:.1e} from its mean, expected at least "
+                f"{SMALLEST} or points that coincide; give it in a smaller unit"
+            )
+        raise InputError(
+            f"cloud {which} of the batch has coordinates that are NaN, infinite or too large for "
+            f"{str(largest.dtype).removeprefix('torch.')} (its largest distance from its mean is "
+            f"{found}); leave such points out, or give it in a larger unit"
+        )
 
 
 def as_weights(points: Tensor, module: nn.Module) -> Tensor:
@@ -84,7 +120,7 @@ def as_weights(points: Tensor, module: nn.Module) -> Tensor:
     return points.to(torch.promote_types(dtype, torch.float32))
 
 
-@_geometry
+@geometric
 def distances(a: Tensor, b: Tensor) -> Tensor:
     """Euclidean distances (B,M,N) between (B,M,C) and (B,N,C).
 
@@ -121,7 +157,7 @@ def smallest(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
     return values.gather(-1, index), index
 
 
-@_geometry
+@geometric
 def knn(points: Tensor, k: int) -> Tensor:
     """Indices (B,N,k) of each point's k nearest, itself included, nearest first.
 
@@ -145,7 +181,7 @@ def knn(points: Tensor, k: int) -> Tensor:
     return smallest(farness, k)[1]
 
 
-@_geometry
+@geometric
 def farthest_points(
     points: Tensor,
     count: int,
@@ -190,7 +226,7 @@ def farthest_from_centre(points: Tensor) -> Tensor:
     return torch.linalg.vector_norm(points.detach(), dim=-1).argmax(dim=1)
 
 
-@_geometry
+@geometric
 def ball_query(
     centres: Tensor, points: Tensor, radius: float, count: int, nearest: bool = False
 ) -> Tensor:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -18,10 +17,19 @@ from torch import Tensor, nn
 
 from baselines.camera import camera_ray
 from baselines.joined import JoinedMax
-from baselines.lra import dot, facing, local_axes, unit
+from baselines.lra import (
+    LEAST_OF_AXES,
+    as_normals,
+    dot,
+    facing,
+    local_axes,
+    require_signs,
+    unit,
+)
 from baselines.points import distances, farthest_from_centre, farthest_points, gather, normalise
 from baselines.published import chosen_quirks, tensors
 from baselines.shared_mlp import NormLinear, SharedMLP, head
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -145,9 +153,8 @@ class RIConv2(nn.Module):
     maximum over neighbours of one more layer.
 
     Args:
-        normals: whether clouds must come with normals; else normals that come are used, and where
-            none do the local reference axes take their place.
-        lra_neighbours: of those axes, the point itself included.
+        lra_neighbours: of the local reference axes that take the normals' place where clouds come
+            without, the point itself included.
         orient: "centroid": they point away from it; "camera": towards the camera, as the normals of
             what it sees do.
         centres: most points of the first level, halved from level to level: 1,024 as on ModelNet40,
@@ -155,14 +162,16 @@ class RIConv2(nn.Module):
         signed_angles: the two angles have the signs that the paper gives them; see ``invariants``.
         quirks: names of ``QUIRKS`` joined by "+": what to do as the release does.
 
+    Attributes:
+        needs_normals: whether clouds must come with normals; else normals that come are used.
+
     Raises:
-        InputError: an option that is not known.
+        InputError: an option that is not known, beyond its limit or, beside another, does nothing.
     """
 
     def __init__(
         self,
         num_classes: int,
-        normals: bool = False,
         lra_neighbours: int = 32,
         orient: str = "centroid",
         centres: int = 1024,
@@ -172,9 +181,11 @@ class RIConv2(nn.Module):
         super().__init__()
         if orient not in ("centroid", "camera"):
             raise InputError(f"orient must be centroid or camera, got {orient!r}")
-        self.needs_normals, self.lra_neighbours, self.orient = normals, lra_neighbours, orient
-        self.centres, self.signed_angles = centres, signed_angles
+        self.needs_normals, self.orient, self.signed_angles = False, orient, signed_angles
+        self.lra_neighbours = given.whole_number(lra_neighbours, "lra_neighbours", LEAST_OF_AXES)
+        self.centres = given.whole_number(centres, "centres", least=1)
         self.quirks = chosen_quirks(quirks, QUIRKS)
+        require_signs(orient, self.quirks)
         self.tie = 0.0 if "ties" in self.quirks else TIE
         self.lifts = nn.ModuleList(SharedMLP(8, 32, 64) for _ in range(5))
         self.first = NormLinear(64, 32)
@@ -186,7 +197,7 @@ class RIConv2(nn.Module):
     @torch.no_grad()
     def levels(self, points: Tensor, normals: Tensor | None = None) -> list[Level]:
         """The neighbourhoods of clouds (B,N,3) with normals (B,N,3), in the camera frame."""
-        x = normalise(points.double(), radius=1.0)
+        x = normalise(points, radius=1.0, dtype=torch.float64)
         number = x.shape[1]
         start = None if "start" in self.quirks else farthest_from_centre(x)
         favour = self.tie * torch.linalg.vector_norm(x, dim=-1)
@@ -201,7 +212,7 @@ class RIConv2(nn.Module):
         most = min(max(self.lra_neighbours, NEIGHBOURS[1]), number)
         nearest = distance.topk(most, dim=-1, largest=False).indices
         if normals is not None:
-            n = gather(unit(normals.double()), order)
+            n = gather(as_normals(normals, points), order)
         else:
             near = nearest[..., : self.lra_neighbours]
             n = local_axes(gather(x, near) - x[:, :, None])
@@ -266,9 +277,14 @@ class RIConv2(nn.Module):
         return Prediction(self.head(f[:, 0]))
 
 
-def with_normals(num_classes: int, **options: Any) -> RIConv2:
-    """RIConv++ of clouds that come with normals."""
-    return RIConv2(num_classes, normals=True, **options)
+def with_normals(
+    num_classes: int, centres: int = 1024, signed_angles: bool = False, quirks: str = ""
+) -> RIConv2:
+    """RIConv++ of clouds that must come with normals: of ``RIConv2``'s options those that are not
+    of local axes."""
+    model = RIConv2(num_classes, centres=centres, signed_angles=signed_angles, quirks=quirks)
+    model.needs_normals = True
+    return model
 
 
 def from_published(state: Mapping[str, Tensor], model: nn.Module) -> dict[str, Tensor]:

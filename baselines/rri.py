@@ -37,6 +37,7 @@ from baselines.points import (
     smallest,
 )
 from baselines.shared_mlp import NormLinear
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 from partialbench.errors import InputError
 
@@ -128,19 +129,23 @@ class RRIPointNet2(nn.Module):
         """``k`` neighbours of every point; ``ramp`` in radians, see ``RAMP``.
 
         Raises:
-            InputError: a ramp that is not positive.
+            InputError: no neighbour, or a ramp that is none: not above 0, or so long that every φ
+                would be ``LARGEST``.
         """
         super().__init__()
-        if ramp <= 0:
-            raise InputError(f"ramp must be positive, got {ramp}")
-        self.k = k
+        if not 0 < ramp < LARGEST:
+            raise InputError(
+                f"ramp must be an angle in radians above 0 and below π/2, from where on every φ is "
+                f"π/2; got {ramp}"
+            )
+        self.k = given.whole_number(k, "k", least=1)
         self.ramp = ramp
         self.embed = NormLinear(4, WIDTH)
         self.classifier = PointNet2(num_classes, features=WIDTH, use_xyz=False, nearest=True)
 
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame, N > k → logits (B,K)."""
-        precise = normalise(points.double())
+        precise = normalise(points, dtype=torch.float64)
         points = precise.float()
         features = F.relu_(self.embed.max(rri(precise, self.k, self.ramp, points.dtype)))
         start = farthest_from_centre(points)

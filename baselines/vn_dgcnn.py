@@ -22,6 +22,7 @@ from baselines.vector_neurons import (
     position_edges,
     vector_knn,
 )
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 
 SLOPE = 0.2
@@ -38,7 +39,7 @@ class VNDGCNN(nn.Module):
 
     def __init__(self, num_classes: int, k: int = 20) -> None:
         super().__init__()
-        self.k = k
+        self.k = given.whole_number(k, "k", least=1)
         self.convs = nn.ModuleList(
             VectorEdgeConv(a, b, SLOPE) for a, b in ((1, 21), (21, 21), (21, 42), (42, 85))
         )
@@ -59,7 +60,7 @@ class VNDGCNN(nn.Module):
     def forward(self, points: Tensor) -> Prediction:
         """(B,N,3) clouds in the camera frame, N ≥ k → logits (B,K)."""
         # Rounding chooses neighbours among features: in evaluation these are of double precision.
-        points = normalise(points if self.training else points.double(), radius=1.0)
+        points = normalise(points, radius=1.0, dtype=None if self.training else torch.float64)
         v = as_vectors(points)
         edges = position_edges(points, vector_knn(v, self.k))
         features: list[Tensor] = []

@@ -24,6 +24,7 @@ from baselines.vector_neurons import (
     vector_knn,
 )
 from baselines.vn_dgcnn import vector_layer
+from partialbench import given
 from partialbench.benchmark.prediction import Prediction
 
 
@@ -57,7 +58,7 @@ class VNPointNet(nn.Module):
 
     def __init__(self, num_classes: int, k: int = 20) -> None:
         super().__init__()
-        self.k = k
+        self.k = given.whole_number(k, "k", least=1)
         self.edge = VectorEdgeConv(1, 21, 0.0, cross=True)
         self.first = VectorReLU(21, 21, 0.0)
         self.tnet = VectorTNet()
@@ -80,7 +81,7 @@ class VNPointNet(nn.Module):
         """(B,N,3) clouds in the camera frame, N ≥ k → logits (B,K)."""
         # Each layer divides by lengths and so amplifies rounding: in evaluation the first ones are
         # of double precision, or a turned cloud's logits would differ by more than 1e-4.
-        points = normalise(points if self.training else points.double(), radius=1.0)
+        points = normalise(points, radius=1.0, dtype=None if self.training else torch.float64)
         v = as_vectors(points)
         v = self.edge(v, position_edges(points, vector_knn(v, self.k), cross=True))
         v = self.first(v)

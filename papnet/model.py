@@ -7,6 +7,7 @@ pose is snapped to a bin, the ensemble compares raw logits, pooling drifts off t
 
 from __future__ import annotations
 
+import inspect
 from typing import NamedTuple
 
 import roma
@@ -14,7 +15,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
-from baselines.points import normalise
+from baselines.points import geometric, normalise
 from baselines.steerable.convolution import SteerableConvolution
 from papnet import pose
 from papnet.ensemble import classify_under_bins
@@ -55,6 +56,16 @@ VARIANTS = {
 }
 
 
+EFFECTIVE = {
+    "pose_weight": "pose",
+    "symmetry": "pose",
+    "vector_pose": "pose",
+    "delta_deg": "given",
+    "snap": "given",
+    "k": "ensemble",
+}
+"""Option → what a variant must have for it to do anything."""
+
 LIMIT = 32.0
 """As many clouds as a batch has, in the published recipe and in the common one."""
 
@@ -73,10 +84,14 @@ class PAPNet(nn.Module):
         k: poses in the ensemble, 1 to 60.
         delta_deg: half width of the noise on each Euler angle of the pose given in training.
         snap: use the bin nearest to the noisy pose, as released, rather than the pose itself.
-        pose_weight: λ of the paper's total loss.
+        pose_weight: λ of the paper's total loss, 0 or more.
         grid: edge of the occupancy volume, a multiple of 8 from 16 on; the published 64.
         limit: of ``SteerableConvolution``, 0 for none, as released. Without it a few test clouds
             of any variant have logits of millions, which an ensemble by raw logits believes.
+
+    Raises:
+        InputError: an option that is not known, beyond its limits, or that changes nothing of the
+            variant.
     """
 
     def __init__(
@@ -102,10 +117,16 @@ class PAPNet(nn.Module):
             raise InputError(f"k must be between 1 and {NUM_BINS}, got {k}")
         if not 0 <= delta_deg <= 180:
             raise InputError(f"delta_deg must be between 0 and 180 degrees, got {delta_deg}")
+        if pose_weight < 0:
+            raise InputError(f"pose_weight must not be negative, got {pose_weight}")
         if grid < 16 or grid % 8:
             raise InputError(f"grid must be a multiple of 8, at least 16, got {grid}")
         if limit != 0 and limit < 1:
             raise InputError(f"limit must be 0 (none) or at least 1, got {limit}")
+        _require_effect(
+            variant, pose_weight=pose_weight, symmetry=symmetry, vector_pose=vector_pose,
+            delta_deg=delta_deg, snap=snap, k=k,
+        )  # fmt: skip
         self.variant, self.symmetry, self.k = VARIANTS[variant], symmetry, k
         self.delta_deg, self.snap, self.pose_weight, self.grid = delta_deg, snap, pose_weight, grid
         self.needs_poses = bool(self.variant.pose) or self.variant.given
@@ -133,10 +154,11 @@ class PAPNet(nn.Module):
             candidates where an ensemble decided.
 
         Raises:
-            InputError: a rotation for a variant that turns nothing by it.
+            InputError: a rotation for a variant that turns nothing by it, or what is none.
         """
         if rotation is not None and not self.variant.transform:
             raise InputError("this variant classifies without a pose, so none can be given to it")
+        rotation = None if rotation is None else pose.told(rotation, len(points))
         points = normalise(points)
         features = self.backbone(points, self.grid)
         pose_logits, predicted = self._pose(features)
@@ -158,8 +180,8 @@ class PAPNet(nn.Module):
         if self.variant.transform == "input":
             # Both streams as one batch: the norms' running statistics are of what they meet at
             # test, clouds as they come and turned ones.
-            given = self._given(label).to(points.dtype)
-            both = self.backbone(torch.cat([points, points @ given]), self.grid)
+            given = self._given(label)
+            both = self.backbone(torch.cat([points, turned_back(points, given)]), self.grid)
             features, turned = both.chunk(2)
             pose_logits, predicted = self._pose(features)
             logits = self.class_head(turned)
@@ -207,10 +229,8 @@ class PAPNet(nn.Module):
         if transform == "features":
             turned = rotate_field(features, rotation.transpose(1, 2), Backbone.fields)
         else:
-            # Rows: Rᵀp = (pᵀR)ᵀ. A turn about the centroid keeps the cloud normalised.
-            canonical = points @ rotation.detach().to(points.dtype)
             backbone = self.backbone if transform == "input" else self.second_backbone
-            turned = backbone(canonical, self.grid)
+            turned = backbone(turned_back(points, rotation), self.grid)
         return self.class_head(turned)
 
     def _over_bins(self, points: Tensor, features: Tensor, ranked: Tensor) -> Tensor:
@@ -229,3 +249,23 @@ class PAPNet(nn.Module):
             )
         ]
         return torch.cat(logits).view(B, k, -1)
+
+
+@geometric
+def turned_back(points: Tensor, rotation: Tensor) -> Tensor:
+    """Clouds (B,N,3) by the inverse of their poses (B,3,3), about their centroids, so that they
+    stay normalised. In a half precision a tenth of the points would fall into other voxels."""
+    return points @ rotation.to(points.dtype)  # rows: Rᵀp = (pᵀR)ᵀ
+
+
+def _require_effect(variant: str, **options: float) -> None:
+    """Raises ``InputError`` for an option other than its default that the variant has no use for:
+    its row would be named after what it does not have."""
+    defaults = inspect.signature(PAPNet).parameters
+    for name, value in options.items():
+        if value != defaults[name].default and not getattr(VARIANTS[variant], EFFECTIVE[name]):
+            takers = [key for key, each in VARIANTS.items() if getattr(each, EFFECTIVE[name])]
+            raise InputError(
+                f"{name}={value} changes nothing of variant {variant!r}; it is an option of "
+                f"{', '.join(takers)}"
+            )

@@ -21,7 +21,8 @@ def resample(field: Tensor, rotation: Tensor) -> Tensor:
     edge = field.shape[-1]
     centre = (2 * torch.arange(edge, device=field.device, dtype=torch.float32) + 1) / edge - 1
     v = torch.stack(torch.meshgrid(centre, centre, centre, indexing="ij"), dim=-1).view(-1, 3)
-    source = v @ rotation.detach().to(v.dtype)  # rows: R⁻¹v = Rᵀv = (vᵀR)ᵀ
+    with torch.autocast(field.device.type, enabled=False):
+        source = v @ rotation.detach().to(v.dtype)  # rows: R⁻¹v = Rᵀv = (vᵀR)ᵀ
     # grid_sample wants (B,X,Y,Z,3) with the last axis of the volume first.
     grid = source.flip(-1).view(len(rotation), edge, edge, edge, 3).to(field.dtype)
     return nn.functional.grid_sample(field, grid, align_corners=False)

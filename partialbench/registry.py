@@ -273,7 +273,7 @@ def list_models(pattern: str = "*", pretrained: bool = False) -> list[str]:
     ]
 
 
-def create(name: str, num_classes: int, **options: Any) -> nn.Module:
+def create(name: str, num_classes: int, /, **options: Any) -> nn.Module:
     """A freshly initialised model.
 
     Args:

@@ -44,7 +44,12 @@ class DegreeNorm(nn.Module):
         if self.training:
             mean = x.mean((0, 2)) if self.degree == 0 else torch.zeros_like(mean)
             square = (x - mean[:, None]).square().mean((0, 2))
-            mean, square, _ = pooled(mean, square, len(x) * x.shape[2])
+            mean, square, count = pooled(mean, square, len(x) * x.shape[2])
+            if isinstance(count, int) and count < 2:
+                # A cloud less its own mean is nothing, and every cloud would look alike.
+                raise ValueError(
+                    f"batch norm needs more than one value a channel in training, got {count}"
+                )
             with torch.no_grad():
                 self.mean.lerp_(mean.to(self.mean.dtype), self.momentum)
                 self.square.lerp_(square.to(self.square.dtype), self.momentum)

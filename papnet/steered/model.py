@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn.functional import cross_entropy, nll_loss, one_hot
 
 from baselines.points import full_precision
+from papnet.pose import similarity, to_each, told
 from papnet.steered.descriptor import Describe, Descriptor
 from papnet.steered.head import (
     InvariantHead,
@@ -33,6 +34,7 @@ from partialbench.errors import InputError
 from partialbench.geometry.bins import NUM_BINS
 
 HIDDEN, TWIN_HIDDEN = 312, 384
+CONCENTRATION = 3.0
 
 
 class PAPNetSteered(nn.Module):
@@ -66,7 +68,7 @@ class PAPNetSteered(nn.Module):
         k: int = 16,
         pose_weight: float = 0.3,
         poses: int = 360,
-        concentration: float = 3.0,
+        concentration: float = CONCENTRATION,
         ray: bool = False,
         scales: int = 1,
         rounds: int = 1,
@@ -79,6 +81,11 @@ class PAPNetSteered(nn.Module):
             raise InputError(f"pose_weight must not be negative, got {pose_weight}")
         if concentration <= 0:
             raise InputError(f"concentration must be positive, got {concentration}")
+        if not pose_weight and concentration != CONCENTRATION:
+            raise InputError(
+                f"concentration={concentration} is of the pose's loss, which pose_weight=0 leaves "
+                f"out; give one"
+            )
         if rounds not in (1, 2):
             raise InputError(f"rounds must be 1 or 2, got {rounds}")
         if refine < 0:
@@ -113,12 +120,11 @@ class PAPNetSteered(nn.Module):
             log-probabilities of the class (B,K), the sum over the poses, or, under a given one, its
             scores as they are, so that those under several poses compare; and log-probabilities of
             the bin (B,60), to which the poses nearest to it count.
+
+        Raises:
+            InputError: clouds or rotations that are none, or more votes than points.
         """
-        if rotation is not None and rotation.shape != (len(points), 3, 3):
-            raise InputError(
-                f"expected one rotation per cloud, shape {(len(points), 3, 3)}, "
-                f"got {tuple(rotation.shape)}"
-            )
+        rotation = None if rotation is None else told(rotation, len(points))
         if self.training or self.votes == 1:
             classes, bins = self._answer(points, rotation)
         else:
@@ -150,10 +156,13 @@ class PAPNetSteered(nn.Module):
         """Scores (B,P,K) and shares (B,P,60) with the likeliest poses moved to where they climb."""
         best = scores.logsumexp(2).topk(min(REFINED, scores.shape[1]), dim=1).indices
         begin = self.poses[best].unflatten(-1, (3, 3)).to(scores.dtype)
-        rotation, climbed = climb(self.head, view, begin, self.refine)
-        scores = scores.scatter(1, best[..., None].expand_as(climbed), full_precision(climbed))
-        bins = self.poses[:NUM_BINS].to(rotation.dtype)
-        nearest = one_hot((rotation.flatten(2) @ bins.T).argmax(2), NUM_BINS).to(share.dtype)
+        # Products of rotations of a half precision are none.
+        with torch.autocast(scores.device.type, enabled=False):
+            context = None if view.context is None else full_precision(view.context)
+            exact = View(full_precision(view.coefficients), full_precision(view.constant), context)
+            rotation, climbed = climb(self.head, exact, begin, self.refine)
+        scores = scores.scatter(1, best[..., None].expand_as(climbed), climbed)
+        nearest = one_hot(similarity(rotation).argmax(2), NUM_BINS).to(share.dtype)
         return scores, share.scatter(1, best[..., None].expand_as(nearest), nearest)
 
     def training_loss(self, batch: Batch) -> Tensor:
@@ -163,8 +172,8 @@ class PAPNetSteered(nn.Module):
         if self.pose_weight:
             of_label = joint[torch.arange(len(joint), device=joint.device), :, batch.label]
             # tr(R_pᵀ·R) = 1 + 2·cos θ.
-            similarity = batch.mapped_rotation.to(self.poses.dtype).flatten(1) @ self.poses.T
-            target = (self.concentration * similarity).softmax(1)
+            near = to_each(batch.mapped_rotation.to(self.poses.dtype), self.poses)
+            target = (self.concentration * near).softmax(1)
             loss = loss - self.pose_weight * (target * of_label).sum(1).mean()
         return loss
 
@@ -216,7 +225,15 @@ def windows(points: Tensor, votes: int) -> list[Tensor]:
     """``votes`` ≥ 2 windows (B,n,3) of clouds (B,N,3), each without another N/votes of the points.
 
     Which those are the stored order says, which is random: the votes depend on it.
+
+    Raises:
+        InputError: more votes than points; those beyond would be of the whole cloud.
     """
+    if votes > points.shape[1]:
+        raise InputError(
+            f"votes={votes} need clouds of at least {votes} points, to leave out others each time; "
+            f"got {points.shape[1]}"
+        )
     part = torch.arange(points.shape[1], device=points.device) % votes
     return [points[:, part != left_out] for left_out in range(votes)]
 

@@ -132,10 +132,6 @@ class TestRRI:
         )
         assert (upright - turned).abs().max() < 2e-3
 
-    def test_a_ramp_is_positive(self) -> None:
-        with pytest.raises(InputError, match="ramp must be positive, got 0"):
-            rri.RRIPointNet2(4, ramp=0)
-
     @pytest.mark.parametrize("number", [1, 31, 32])
     def test_too_few_points_are_refused(self, number: int) -> None:
         """A point is not its own neighbour: 32 of them need 33 points."""

@@ -174,3 +174,21 @@ def test_logits_move_little_under_rotation_and_not_at_all_about_z_by_a_pooled_ce
 @pytest.mark.parametrize(("classes", "count"), [(40, 200_808), (15, 197_583)])
 def test_parameter_count(classes: int, count: int) -> None:
     assert sum(p.numel() for p in SphericalCNN(classes).parameters()) == count
+
+
+def test_a_shape_and_its_mirror_image_get_one_answer(rng: np.random.Generator) -> None:
+    """As its card says; a stretched one gets another."""
+    model = SphericalCNN(5).train()
+    cloud = torch.from_numpy(rng.normal(size=(4, 300, 3)) * (0.5, 0.3, 0.2)).float()
+    cloud[..., 0] = cloud[..., 0].abs()
+    for module in model.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.momentum = 1.0
+    with torch.no_grad():
+        model(cloud)
+        before = model.eval()(cloud).class_logits
+        mirrored = model(cloud * torch.tensor([1.0, -1, 1])).class_logits
+        other = model(cloud * torch.tensor([1.0, 2, 1])).class_logits
+    scale = before.abs().max()
+    assert (mirrored - before).abs().max() < 1e-2 * scale
+    assert (other - before).abs().max() > scale

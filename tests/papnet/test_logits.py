@@ -94,7 +94,8 @@ def trained(variant: str) -> PAPNet:
     """Briefly; then every second scalar of every layer is put to sleep, as long training does to
     some: its bias is as low as keeps it at zero for all that was seen."""
     torch.manual_seed(0)
-    model = PAPNet(5, variant=variant, k=3, grid=16).train()
+    few = {"k": 3} if VARIANTS[variant].ensemble else {}
+    model = PAPNet(5, variant=variant, grid=16, **few).train()
     optimizer = torch.optim.Adam(model.parameters(), lr=5e-3)
     for step in range(2):
         points, R = boxes(step)

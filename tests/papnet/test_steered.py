@@ -199,7 +199,7 @@ def test_a_given_pose_conditions_the_class() -> None:
         torch.testing.assert_close(after, before, atol=1e-9, rtol=0)
         other = posed()(clouds() @ turn.mT, rotation=R).class_logits
     assert (other - before).abs().max() > 0.1, "the given pose is used"
-    with pytest.raises(InputError, match=r"one rotation per cloud, shape \(4, 3, 3\), got \(1, 3"):
+    with pytest.raises(InputError, match=r"floating and of shape \(4, 3, 3\), got \(1, 3"):
         posed()(clouds(), rotation=R[:1])
 
 
