@@ -338,6 +338,11 @@ def test_meshes_that_cannot_be_rendered() -> None:
 
     with pytest.raises(InputError, match=r"reaches 1\.73205 from the origin.*normalise"):
         render(box.vertices * 2, box.faces)
+    # A camera of its own does not change what sizes mean: 1,000 millimetres are not 1,000 units.
+    camera = Camera(np.array([[60.0, 0, 25], [0, 60, 22], [0, 0, 1]]), 50, 44)
+    ball = trimesh.creation.icosphere(2, 1000)
+    with pytest.raises(InputError, match=r"reaches 1000 from the origin.*normalise"):
+        MitsubaOccluder(camera=camera).views(ball, [(np.eye(3), np.array([0, 0, 3000.0]))], [])
     with pytest.raises(InputError, match="NaN or infinite"):
         render(np.where(box.vertices > 0.4, np.nan, box.vertices), box.faces)
     with pytest.raises(InputError, match="names vertex 8; the mesh's vertices are 0 to 7"):
