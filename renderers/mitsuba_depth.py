@@ -78,6 +78,11 @@ class MitsubaOccluder:
             )
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
+        if self.camera is not None and self.camera.width * self.camera.height > MOST_PIXELS:
+            raise InputError(
+                f"an image may have {MOST_PIXELS} pixels at most, the camera's has "
+                f"{self.camera.width}×{self.camera.height}"
+            )
         if self.camera is not None and self.resolution != DEFAULT_RESOLUTION:
             raise InputError(
                 f"resolution={self.resolution} would have no effect: the camera has its own image, "

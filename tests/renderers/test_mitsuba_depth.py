@@ -321,6 +321,7 @@ def test_describe_is_data_and_names_the_variant_in_use() -> None:
         ({"threads": 1.5}, "threads must be a whole number of at least 1, got 1.5"),
         ({"visibility_samples": True}, "visibility_samples must be .* got True"),
         ({"camera": np.eye(3)}, "camera must be a geometry.camera.Camera"),
+        ({"camera": Camera(np.eye(3), 20_000, 20_000)}, "camera's has 20000×20000"),
         ({"sensor": "kinect"}, "no sensor named 'kinect'; did you mean kinect-v1"),
     ],
 )

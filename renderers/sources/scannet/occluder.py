@@ -87,7 +87,7 @@ class ScanHprOccluder:
             InputError: there are no others, or none has a surface.
         """
         normals = unit_normals(shape.normals, shape.points) if self.normals else None
-        # Hidden point removal reports equal points once; some writers repeat a vertex for each face.
+        # Hidden point removal reports equal points once; some writers repeat a vertex a face.
         distinct = len(np.unique(shape.points, axis=0))
         views = [
             self._view(shape, np.asarray(R), np.asarray(t), normals, distinct) for R, t in poses
