@@ -26,6 +26,7 @@ MOST_PIXELS = 2**28
 """Of one image: Mitsuba's arrays end at 2³² numbers, and a ray has more than one."""
 
 NOTHING_SEEN = "no surface at any pixel centre"
+NOTHING_MEASURED = "the sensor measures nothing of the surface in view: out of its range, or lost"
 TOO_NEAR = f"nearer than {NEAREST_RADII:g} units, where a stereo sensor sees nothing"
 
 Pose = tuple[NDArray, NDArray]
@@ -77,6 +78,11 @@ class MitsubaOccluder:
             )
         if self.camera is not None and not isinstance(self.camera, Camera):
             raise InputError(f"camera must be a geometry.camera.Camera, got {self.camera!r}")
+        if self.camera is not None and self.camera.width * self.camera.height > MOST_PIXELS:
+            raise InputError(
+                f"an image may have {MOST_PIXELS} pixels at most, the camera's has "
+                f"{self.camera.width}×{self.camera.height}"
+            )
         if self.camera is not None and self.resolution != DEFAULT_RESOLUTION:
             raise InputError(
                 f"resolution={self.resolution} would have no effect: the camera has its own image, "
@@ -124,22 +130,21 @@ class MitsubaOccluder:
         """Render a mesh from every pose.
 
         Args:
-            shape: in the object frame, inside the unit ball around the origin unless a ``camera``
-                is set. Vertices are used as float32.
+            shape: in the object frame, inside the unit ball around the origin. Vertices are used
+                as float32.
             poses: (R_camera_object (3,3), t_camera_object (3,)) each.
             rngs: one per view, for the sensor's noise; an ideal one draws nothing.
             others: what stands before the object, meshes in the unit ball, if ``occluders``.
 
         Returns:
             One ``View`` per pose, its points in row-major pixel order; a ``RejectedView`` where no
-            pixel centre meets the surface (a flat shape seen edge-on, or outside a fixed camera).
+            pixel centre meets the surface (a flat shape seen edge-on, or outside a fixed camera),
+            or the sensor measures nothing of it.
 
         Raises:
-            InputError: when the mesh has no area, or leaves the unit ball.
+            InputError: when the mesh or one of the others has no area, or leaves the unit ball.
         """
         vertices, faces = _arrays(shape)
-        if self.camera is None:
-            _require_unit_ball(vertices)
         try:
             samples = surface_samples(vertices, faces, self.visibility_samples)
         except ValueError as error:
@@ -170,6 +175,9 @@ class MitsubaOccluder:
             hidden, before = None, []
             if pool and others is not None and depth.any():
                 pixels = occlusion.Pixels(depth, cameras[k])
+                if self.camera is not None and pixels.count < occlusion.FEW_PIXELS:
+                    # A fixed camera may show the object as small as it likes.
+                    pixels = occlusion.Pixels(*occlusion.cropped(depth, cameras[k]))
                 arranged = occlusion.arrange(pixels, t[k], self.occluders, pool, others.rngs[k])
                 if arranged is None:
                     views.append(RejectedView(occlusion.NO_ROOM))
@@ -185,6 +193,7 @@ class MitsubaOccluder:
             if isinstance(sensor, Stereo) and np.linalg.norm(t[k]) < NEAREST_RADII:
                 views.append(RejectedView(TOO_NEAR, {"units": float(np.linalg.norm(t[k]))}))
                 continue
+            exact = depth
             if isinstance(sensor, Stereo):
                 parts = [((vertices @ R[k].T + t[k]).astype(np.float32), faces)]
                 parts += [occlusion.placed(each, *meshes[each.shape]) for each in before]
@@ -192,7 +201,10 @@ class MitsubaOccluder:
             elif sensor:
                 depth = sensor.apply(depth, cameras[k].K, rngs[k])
             if hidden is not None:
-                depth = np.where(own, depth, np.float32(0))
+                depth, exact = np.where(own, depth, np.float32(0)), np.where(own, exact, 0)
+            if not depth.any() and exact.any():
+                views.append(RejectedView(NOTHING_MEASURED, _depths(self.sensor, exact)))
+                continue
             view = self._view(depth, R[k], t[k], cameras[k], float(seen[k].mean()))
             if isinstance(view, View):
                 view.occluded_fraction = hidden
@@ -260,6 +272,12 @@ def back_project(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float
     return points
 
 
+def _depths(sensor: str, depth: NDArray) -> dict[str, Any]:
+    """Between which depths a sensor measured nothing of an image, object units."""
+    there = depth[depth > 0]
+    return {"sensor": sensor, "from": float(there.min()), "to": float(there.max())}
+
+
 def _arrays(shape: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
     """Vertices (V,3) float32 and faces (F,3) uint32, checked as a renderer needs them."""
     if not isinstance(shape, trimesh.Trimesh):
@@ -276,13 +294,16 @@ def _arrays(shape: trimesh.Trimesh) -> tuple[NDArray[np.float32], NDArray[np.uin
             f"a face names vertex {low if low < 0 else high}; the mesh's vertices are 0 to "
             f"{len(vertices) - 1}"
         )
+    _require_unit_ball(vertices)
     return vertices, faces.astype(np.uint32)
 
 
 def _require_unit_ball(vertices: NDArray[np.float32]) -> None:
+    # Not for the fitted camera alone: what is hidden, where obstacles have room and how many metres
+    # an object is long all go by this size.
     radius = float(np.sqrt(np.einsum("ij,ij->i", vertices, vertices).max()))
     if radius > 1 + 1e-5:
         raise InputError(
-            f"the mesh reaches {radius:g} from the origin; the fitted camera needs it inside the "
-            f"unit ball: pass it through renderers.sources.mesh.normalise, or set a camera"
+            f"the mesh reaches {radius:g} from the origin; expected is one inside the unit ball: "
+            f"pass it through renderers.sources.mesh.normalise, and divide poses by its scale"
         )

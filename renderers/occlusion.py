@@ -28,6 +28,9 @@ NEAR_ENOUGH = 0.02
 COARSE = 32
 """Pixels across the image in which places are tried."""
 PLACES = 24
+FEW_PIXELS = 100
+"""Of the object in the coarse image: fewer do not tell what share an obstacle hides."""
+WIDE = np.deg2rad(75)
 NO_ROOM = "no room for an occluder between camera and object"
 ALL_HIDDEN = "wholly hidden by other objects"
 
@@ -153,8 +156,7 @@ def arrange(
         away = rng.uniform(1.5 * size, room - 1.1 * size)
         sight = np.asarray(centre, np.float64) / distance
         side = _across(sight, rng.uniform(0, 2 * np.pi))
-        # From here the two cones just touch: nothing is hidden.
-        reach = away * np.tan(np.arcsin(1 / distance) + np.arcsin(size / away))
+        reach = _reach(distance, away, size)
         offsets = np.linspace(reach, 0, PLACES)
         for _ in range(2):  # coarsely, then between the neighbours of the best
             places = away * sight + offsets[:, None] * side
@@ -169,6 +171,27 @@ def arrange(
         if hidden.mean() >= wanted - NEAR_ENOUGH:
             break
     return obstacles
+
+
+def _reach(distance: float, away: float, size: float) -> float:
+    """How far aside an obstacle hides nothing of an object's unit ball."""
+    half = np.arcsin(1 / distance)
+    # From here the two cones just touch.
+    if (angle := half + np.arcsin(size / away)) < WIDE:
+        return float(away * np.tan(angle))
+    # Towards a right angle that place runs off to infinity, and all the places that are tried with
+    # it. The obstacle's ball touches the object's cone long before.
+    return float((size + away * np.sin(half)) / np.cos(half))
+
+
+def cropped(depth: NDArray[np.float32], camera: Camera) -> tuple[NDArray[np.float32], Camera]:
+    """The part of a depth image (H,W) that shows something, at least a pixel, and its camera."""
+    rows, columns = np.nonzero(depth.any(axis=1))[0], np.nonzero(depth.any(axis=0))[0]
+    top, left = rows[0], columns[0]
+    part = depth[top : rows[-1] + 1, left : columns[-1] + 1]
+    K = camera.K.copy()
+    K[:2, 2] -= left, top
+    return part, Camera(K, part.shape[1], part.shape[0])
 
 
 def composite(

@@ -96,7 +96,8 @@ def render_view(
     _require_in_front(pair[1], camera)
     (view,) = occluder.views(solid, [pair], [generator(seed, "render_view", "occluder")])
     if isinstance(view, RejectedView):
-        raise InputError(f"this pose shows nothing of the shape: {view.reason}")
+        told = ", ".join(f"{name} {value}" for name, value in view.details.items())
+        raise InputError(f"this pose shows nothing of the shape: {view.reason} ({told})")
     if num_points is None:
         return view
     chosen = draw(len(view.points), num_points, generator(seed, "render_view", "draw"))

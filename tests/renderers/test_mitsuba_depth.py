@@ -321,6 +321,7 @@ def test_describe_is_data_and_names_the_variant_in_use() -> None:
         ({"threads": 1.5}, "threads must be a whole number of at least 1, got 1.5"),
         ({"visibility_samples": True}, "visibility_samples must be .* got True"),
         ({"camera": np.eye(3)}, "camera must be a geometry.camera.Camera"),
+        ({"camera": Camera(np.eye(3), 20_000, 20_000)}, "camera's has 20000×20000"),
         ({"sensor": "kinect"}, "no sensor named 'kinect'; did you mean kinect-v1"),
     ],
 )
@@ -338,6 +339,11 @@ def test_meshes_that_cannot_be_rendered() -> None:
 
     with pytest.raises(InputError, match=r"reaches 1\.73205 from the origin.*normalise"):
         render(box.vertices * 2, box.faces)
+    # A camera of its own does not change what sizes mean: 1,000 millimetres are not 1,000 units.
+    camera = Camera(np.array([[60.0, 0, 25], [0, 60, 22], [0, 0, 1]]), 50, 44)
+    ball = trimesh.creation.icosphere(2, 1000)
+    with pytest.raises(InputError, match=r"reaches 1000 from the origin.*normalise"):
+        MitsubaOccluder(camera=camera).views(ball, [(np.eye(3), np.array([0, 0, 3000.0]))], [])
     with pytest.raises(InputError, match="NaN or infinite"):
         render(np.where(box.vertices > 0.4, np.nan, box.vertices), box.faces)
     with pytest.raises(InputError, match="names vertex 8; the mesh's vertices are 0 to 7"):

@@ -77,6 +77,41 @@ def test_about_the_wanted_share_is_hidden(share):
     assert max(found) < 1.5 * share
 
 
+def shares(renderer, distance, count=24):
+    """What is hidden of objects straight ahead, all turned differently."""
+    at = [(R, np.array([0, 0, distance])) for R, _ in poses(count)]
+    views = renderer.views(TARGET, at, rngs(count), Others(POOL, rngs(count)))
+    return np.array([view.occluded_fraction for view in views])
+
+
+@pytest.mark.parametrize("distance", [8, 20])
+def test_an_object_small_in_a_fixed_cameras_image_is_hidden_as_asked(distance):
+    # 31 and 12 pixels across of 640×480, of which the coarse image has every fifteenth.
+    camera = Camera(np.array([[120.0, 0, 320], [0, 120, 240], [0, 0, 1]]), 640, 480)
+    found = shares(MitsubaOccluder(camera=camera, occluders=0.4), distance)
+    assert found.mean() == pytest.approx(0.4, abs=0.06)
+    assert found.min() > 0.15
+    assert found.max() < 0.65
+
+
+@pytest.mark.parametrize("distance", [1.15, 1.29, 1.31, 1.34, 1.5])
+def test_so_is_one_whose_camera_is_near(distance):
+    # At 1.3 the sum of the two cones' angles is a right one.
+    found = shares(MitsubaOccluder(RESOLUTION, occluders=0.4), distance)
+    assert found.mean() == pytest.approx(0.4, abs=0.06)
+    assert found.min() > 0.2
+    assert found.max() < 0.6
+
+
+@pytest.mark.parametrize(("distance", "away", "size"), [(1.15, 0.09, 0.05), (1.31, 0.18, 0.115)])
+def test_from_where_an_obstacle_is_pushed_in_it_hides_nothing(distance, away, size):
+    aside = occlusion._reach(distance, away, size)
+    # The edge of the ball's cone, from the camera: (cos, sin) of its half angle.
+    half = np.arcsin(1 / distance)
+    to_edge = aside * np.cos(half) - away * np.sin(half)
+    assert to_edge == pytest.approx(size)
+
+
 def test_obstacles_are_between_camera_and_object(arranged):
     views = render(40)
     for view, obstacles in zip(views, arranged, strict=True):

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.stats import norm
 
+from partialbench import render_view
 from partialbench.dataset.seeding import generator
 from partialbench.errors import InputError
+from partialbench.geometry.camera import Camera, look_at
 from renderers.depth_images import displaced, edges, incidence_angle, projector_shadow
 from renderers.sensors import SENSORS, STRENGTHS, KinectV1, TimeOfFlight, make_sensor
 
@@ -222,6 +225,18 @@ def test_nothing_out_of_range_is_measured(name: str, rng: np.random.Generator) -
     sensor = make_sensor(name, metres_per_unit=1.0)
     for z_m in (0.4, 6.0):
         assert (sensor.apply(plane(z_m), K, rng) == 0).all()
+
+
+@pytest.mark.parametrize("name", ["kinect-v1", "tof"])
+def test_a_view_out_of_a_sensors_range_says_so(name: str) -> None:
+    # 12 units are 6 m; the camera itself sees the box there.
+    box = trimesh.creation.box((1, 1, 1))
+    assert len(render_view(box, look_at((0, -12, 0))).points) == 1024
+    with pytest.raises(InputError, match=rf"sensor measures nothing.*{name}, from 11\.\d+, to 1"):
+        render_view(box, look_at((0, -12, 0)), sensor=name)
+    aside = Camera(np.array([[50.0, 0, 0], [0, 50, 0], [0, 0, 1]]), 8, 8)
+    with pytest.raises(InputError, match="no surface at any pixel centre"):
+        render_view(box, (np.eye(3), (-2, 0, 3)), sensor=name, camera=aside)
 
 
 def test_a_stack_takes_one_camera_or_one_each(rng: np.random.Generator) -> None:

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.stereo import DISTANCES_M, camera_of, fattening, filled, quad, spread
+from benchmarks.stereo import (
+    DISTANCES_M,
+    camera_of,
+    errors,
+    fattening,
+    filled,
+    lowered,
+    quad,
+    spread,
+)
 from partialbench.dataset.others import Others
 from partialbench.dataset.seeding import generator
 from partialbench.dataset.sources import RejectedView
@@ -85,6 +94,15 @@ def test_edges_are_fattened_and_grazing_surfaces_lost():
     assert filled(sensor, 0) > 0.95
     assert filled(sensor, 85) < 0.7
     assert filled(sensor, 80, albedo=0.03) < filled(sensor, 80) - 0.15
+
+
+def test_slanted_surfaces_are_measured_at_their_place_but_for_what_the_docs_say():
+    sensor = stereo.d415()
+    assert 0.5 < lowered(sensor) < 1.2
+    # Across the image there is no such lag: both cameras' pixels are where the rays are.
+    left, right = (errors(sensor, 1.1, 2, a).mean() for a in (30, -30))
+    slope = 1.1 / sensor.focal * np.tan(np.deg2rad(30))
+    assert abs(left - right) / 2 / slope < 0.3
 
 
 def test_a_part_of_an_object_is_dark_from_one_side_on():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,7 @@ def test_the_occluded_share_is_that_of_a_brute_force_caster(source, arranged):
     )
     pairs = list(zip(whole, found, strict=True))
     assert len(arranged) == count
+    distinct = len(np.unique(target.points, axis=0))
     for (clear, view), obstacles in zip(pairs, arranged, strict=True):
         points = clear.points.astype(np.float64)
         hidden = np.zeros(len(points), bool)
@@ -93,7 +96,7 @@ def test_the_occluded_share_is_that_of_a_brute_force_caster(source, arranged):
         assert (
             view.n_visible == len(view.points) == round((1 - view.occluded_fraction) * len(points))
         )
-        assert view.visible_fraction == pytest.approx(view.n_visible / len(target.points))
+        assert view.visible_fraction == pytest.approx(view.n_visible / distinct)
         np.testing.assert_array_equal(view.R_camera_object, clear.R_camera_object)
         kept = {tuple(point) for point in view.points.tolist()}
         assert kept <= {tuple(point) for point in clear.points.tolist()}
@@ -101,6 +104,20 @@ def test_the_occluded_share_is_that_of_a_brute_force_caster(source, arranged):
     assert share.mean() == pytest.approx(0.3, abs=0.05)
     assert share.min() > 0.1
     assert share.max() < 0.5
+
+
+def test_a_vertex_that_is_there_once_for_each_face_counts_once(source):
+    shape = source.load(source.objects("train")[0])
+    once = np.unique(shape.points, axis=0, return_index=True)[1]
+    shape = replace(shape, points=shape.points[once], normals=shape.normals[once])
+    soup = replace(
+        shape, points=np.tile(shape.points, (3, 1)), normals=np.tile(shape.normals, (3, 1))
+    )
+    occluder = ScanHprOccluder(rules={"max_back_facing": 1, "max_isolated": 1})
+    plain, repeated = occluder.views(shape, poses(3), []), occluder.views(soup, poses(3), [])
+    for one, other in zip(plain, repeated, strict=True):
+        assert 0.2 < one.visible_fraction < 0.9
+        assert (one.visible_fraction, one.n_visible) == (other.visible_fraction, other.n_visible)
 
 
 def render(folder, out, occluders=0.0, **rules):

@@ -87,7 +87,11 @@ class ScanHprOccluder:
             InputError: there are no others, or none has a surface.
         """
         normals = unit_normals(shape.normals, shape.points) if self.normals else None
-        views = [self._view(shape, np.asarray(R), np.asarray(t), normals) for R, t in poses]
+        # Hidden point removal reports equal points once; some writers repeat a vertex a face.
+        distinct = len(np.unique(shape.points, axis=0))
+        views = [
+            self._view(shape, np.asarray(R), np.asarray(t), normals, distinct) for R, t in poses
+        ]
         if not self.occluders:
             return views
         pool = self._tracers(others)
@@ -116,7 +120,7 @@ class ScanHprOccluder:
         return {**self.hpr.describe(), "name": "scan-hpr", "rules": rules, **normals, **before}
 
     def _view(
-        self, shape: ScanInstance, R: NDArray, t: NDArray, normals: NDArray | None
+        self, shape: ScanInstance, R: NDArray, t: NDArray, normals: NDArray | None, distinct: int
     ) -> View | RejectedView:
         viewpoint = -R.T @ t
         radius = self.hpr.radius
@@ -132,7 +136,7 @@ class ScanHprOccluder:
             R_camera_object=R,
             t_camera_object=t,
             K=np.zeros((3, 3)),
-            visible_fraction=len(seen) / len(shape.points),
+            visible_fraction=len(seen) / distinct,
             n_visible=len(seen),
             normals=None if normals is None else towards_camera(normals[seen], in_camera, R),
             symmetry=shape.symmetry,
