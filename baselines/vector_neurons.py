@@ -128,8 +128,6 @@ class _LengthMoments(torch.autograd.Function):
     def forward(
         ctx: Any, q: Tensor, q_centre: Tensor | None, edges: Edges | None
     ) -> tuple[Tensor, Tensor]:
-        ctx.save_for_backward(q, q_centre)
-        ctx.edges = edges
         layer = _Layer((q, q_centre), edges)
         channels = q.shape[-1]
         count, mean = 0, q.new_zeros(channels)
@@ -143,17 +141,20 @@ class _LengthMoments(torch.autograd.Function):
             square += (m - mean).square() * (count * n / (count + n))
             mean += (m - mean) * (n / (count + n))
             count += n
-        ctx.mean, ctx.count = mean, count
+        # The mean is an output: as an attribute of ctx it would keep ctx, and all of a step's
+        # edges, for ever.
+        ctx.save_for_backward(q, q_centre, mean)
+        ctx.edges, ctx.count = edges, count
         return mean, square / count
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, d_mean: Tensor, d_var: Tensor) -> tuple[Tensor | None, ...]:
-        q, q_centre = ctx.saved_tensors
+        q, q_centre, mean = ctx.saved_tensors
         layer = _Layer((q, q_centre), ctx.edges)
         to = layer.zeros()
         d_mean, d_var = d_mean / ctx.count, 2 * d_var / ctx.count
-        offset = d_mean - d_var * ctx.mean
+        offset = d_mean - d_var * mean
         for part in layer.parts(len(d_mean)):
             y = layer.values(part)
             length = _dot(y, y).sqrt_()
