@@ -78,7 +78,7 @@ def read_off(content: bytes) -> Polygons:
     rest = body[match.end() :]
     if layout.widths == _PLAIN and (regular := _read_regular(rest, vertex_count, face_count)):
         return Polygons.of_triangles(*regular)
-    return _read_any(rest, vertex_count, face_count, layout)
+    return _read_any(rest, vertex_count, face_count, layout, match[3] is None)
 
 
 def _layout(keyword: re.Match[bytes]) -> tuple[_Layout, bool]:
@@ -136,15 +136,18 @@ def _read_regular(
     return coordinates.reshape(vertex_count, 3), rows[:, 1:]
 
 
-def _read_any(body: bytes, vertex_count: int, face_count: int, layout: _Layout) -> Polygons:
+def _read_any(
+    body: bytes, vertex_count: int, face_count: int, layout: _Layout, edges_to_come: bool
+) -> Polygons:
     """By lines where there is about one for each vertex and face, else as one stream of words.
 
     Either way nothing may be left over, so that no count is taken for less than is there.
     """
     lines = [words for line in body.split(b"\n") if (words := line.split())]
     stated = vertex_count + face_count
-    # A count of edges may stand on a line of its own.
-    without_edges = lines[1:] if len(lines) > 1 and len(lines[0]) == 1 else lines
+    # A count of edges may stand on a line of its own, if not behind the other two.
+    has_line = edges_to_come and len(lines) > 1 and len(lines[0]) == 1
+    without_edges = lines[1:] if has_line else lines
     if len(without_edges) == stated:
         return _read_lines(without_edges, vertex_count, layout)
     # A file by lines that lost or won a few must not pass for a stream.
