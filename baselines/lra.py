@@ -9,6 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from baselines.points import require_sound
 from partialbench.errors import InputError
 
 LEAST_OF_AXES = 4
@@ -39,12 +40,11 @@ def as_normals(normals: Tensor, points: Tensor) -> Tensor:
             f"normals must be a floating tensor of the clouds' own shape {tuple(points.shape)}, "
             f"one for each point; got {tuple(normals.shape)} {normals.dtype}"
         )
-    finite = normals.isfinite().all()
-    if normals.device.type != "cpu":
-        torch._assert_async(finite, "normals are not finite")
-    elif not bool(finite):
-        count = int((~normals.isfinite().all(dim=-1)).sum())
-        raise InputError(f"{count} of {normals[..., 0].numel()} normals are NaN or infinite")
+    finite = normals.isfinite().all(dim=-1).flatten()
+    require_sound(
+        finite, "normals are not finite",
+        lambda _: f"{int((~finite).sum())} of {len(finite)} normals are NaN or infinite",
+    )  # fmt: skip
     return unit(normals.double())
 
 

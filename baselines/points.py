@@ -88,26 +88,38 @@ def normalise(points: Tensor, radius: float = RADIUS, dtype: torch.dtype | None 
     return centred * (radius / largest.clamp_min(SMALLEST))[:, None, None]
 
 
+def require_sound(sound: Tensor, what: str, words: Callable[[int], str]) -> None:
+    """Raises ``InputError`` with ``words`` of the first of (n,) that is not sound.
+
+    On other devices than the CPU torch's own error with ``what``, when the device finds it: there
+    nothing waits for the host.
+    """
+    if sound.device.type != "cpu":
+        torch._assert_async(sound.all(), what)
+    elif not bool(sound.all()):
+        raise InputError(words(int((~sound).nonzero()[0, 0])))
+
+
 @torch.no_grad()
 def _require_extent(largest: Tensor) -> None:
     """Raises for clouds whose largest norm (B,) about their mean says that they are none."""
-    # NaN fails every comparison: what holds of a sound cloud is asked for.
-    sound = (largest == 0) | ((largest >= SMALLEST) & (largest < torch.inf))
-    if largest.device.type != "cpu":
-        torch._assert_async(sound.all(), "a cloud has no finite coordinates or no extent")
-    elif not bool(sound.all()):
-        which = int((~sound).nonzero()[0, 0])
+
+    def words(which: int) -> str:
         found = float(largest[which])
         if found < SMALLEST:
-            raise InputError(
+            return (
                 f"cloud {which} of the batch reaches {found:.1e} from its mean, expected at least "
                 f"{SMALLEST} or points that coincide; give it in a smaller unit"
             )
-        raise InputError(
+        return (
             f"cloud {which} of the batch has coordinates that are NaN, infinite or too large for "
             f"{str(largest.dtype).removeprefix('torch.')} (its largest distance from its mean is "
             f"{found}); leave such points out, or give it in a larger unit"
         )
+
+    # NaN fails every comparison: what holds of a sound cloud is asked for.
+    sound = (largest == 0) | ((largest >= SMALLEST) & (largest < torch.inf))
+    require_sound(sound, "a cloud has no finite coordinates or no extent", words)
 
 
 def as_weights(points: Tensor, module: nn.Module) -> Tensor:

@@ -12,7 +12,7 @@ import math
 import torch
 from torch import Tensor
 
-from baselines.points import full_precision, geometric
+from baselines.points import full_precision, geometric, require_sound
 from partialbench.errors import InputError
 from partialbench.geometry.bins import rotation_bins
 
@@ -40,14 +40,11 @@ def told(rotation: Tensor, clouds: int) -> Tensor:
     identity = torch.eye(3, device=rotation.device, dtype=rotation.dtype)
     off = (rotation @ rotation.mT - identity).abs().amax((1, 2))
     sound = (off <= TOLERANCE) & (torch.linalg.det(rotation) > 0)
-    if rotation.device.type != "cpu":
-        torch._assert_async(sound.all(), "a pose that was told is no rotation")
-    elif not bool(sound.all()):
-        which = int((~sound).nonzero()[0, 0])
-        raise InputError(
-            f"the pose told with cloud {which} of the batch is no rotation: R·Rᵀ must be the "
-            f"identity and det R = 1, got R = {rotation[which].tolist()}"
-        )
+    require_sound(
+        sound, "a pose that was told is no rotation",
+        lambda which: f"the pose told with cloud {which} of the batch is no rotation: R·Rᵀ must be "
+        f"the identity and det R = 1, got R = {rotation[which].tolist()}",
+    )  # fmt: skip
     return rotation
 
 

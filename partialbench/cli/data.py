@@ -226,15 +226,15 @@ def render(
             cells = grids.load(grid)
             plans = [*plan_grid(data_set.value, out, cells, **options).values()]
             grids.write(out, cells)
-    if words := getattr(plans[0].job.source, "listing", ""):
-        say_source(words)
-    broken, told = [], []
+    broken: list[tuple[Path, Any]] = []
+    told: list[dict[str, Any]] = []
     for plan in plans:
         with continued_by("the same command"), build_bar(stderr) as on_progress:
             manifest = run_plan(
                 plan, workers=workers, scheduler=scheduler, on_progress=on_progress,
                 # One worker too is a process of its own: a crash in it ends no run.
                 make_executor=partial(process_pool, workers), retry_failed=retry_failed,
+                on_listing=None if told else say_source,
             )  # fmt: skip
         told.append(_told(plan.out, manifest))
         if not as_json:

@@ -125,7 +125,7 @@ def render_grid(
         if isinstance(grid, Mapping)
         else grids.load(given.path(grid, "the grid"))
     )
-    out, place = given.path(out, "the folder"), source
+    out = given.path(out, "the folder")
     place = None if source is None else str(given.path(source, "the source"))
     workers = given.whole_number(workers, "workers", 1)
     plans = plan_grid(data_set, out, cells, source=place, workers=workers, **options)

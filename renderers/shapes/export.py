@@ -58,13 +58,13 @@ def export_tree(
         if name not in FORMATS:
             raise InputError(f"unknown format {name!r}: expected some of {', '.join(FORMATS)}")
     wanted = None if classes is None else {family_of(name).name for name in classes}
-    source = ParametricShapes(counts, seed)
+    source, tree = ParametricShapes(counts, seed), given.path(out, "--out")
     folders: dict[Path, list[ObjectRef]] = {}
     for split in source.splits():
         for ref in source.objects(split):
             name = source.class_names[ref.label]
             if wanted is None or name in wanted:
-                folders.setdefault(given.path(out, "--out") / name / split, []).append(ref)
+                folders.setdefault(tree / name / split, []).append(ref)
     for folder, refs in folders.items():
         _require_no_others(folder, {ref.object_id for ref in refs})
     for folder, refs in folders.items():
